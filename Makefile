@@ -1,0 +1,47 @@
+# `make demo` and `make test` do all the set-up: only python3 (>= 3.11, with pip), make and git are needed.
+PY      ?= python3
+UV_VER  := 0.13.9
+UV      := .tools/bin/uv
+V       := .venv
+# One thread per process: on a small machine BLAS threads slow everything down.
+export OPENBLAS_NUM_THREADS ?= 1
+export UV_PYTHON_DOWNLOADS = never
+unexport PYTHONDONTWRITEBYTECODE
+.PHONY: demo test check bench lock clean
+
+$(UV):
+	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
+	@$(PY) -m pip install -qq --disable-pip-version-check --target .tools uv==$(UV_VER)
+
+$(V)/.run: requirements-run.lock pyproject.toml | $(UV)
+	@test -x $(V)/bin/python || $(UV) venv -q --python $(PY) $(V)
+	@$(UV) pip install -q --python $(V)/bin/python --require-hashes -r requirements-run.lock
+	@$(UV) pip install -q --python $(V)/bin/python --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(V)/.dev: requirements.lock $(V)/.run
+	@$(UV) pip install -q --python $(V)/bin/python --require-hashes -r requirements.lock
+	@touch $@
+
+demo: $(V)/.run ## the main job: a full sweep on the simulated bench
+	@$(V)/bin/rig sweep --axis x
+
+test: $(V)/.dev ## every test
+	@$(V)/bin/python -m pytest -n 2
+
+check: $(V)/.dev ## style, types and import directions
+	@$(V)/bin/ruff check .
+	@$(V)/bin/ruff format --check .
+	@$(V)/bin/mypy
+	@$(V)/bin/lint-imports
+
+bench: $(V)/.dev ## the measured bars, printed as ratios
+	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='bench_*.py' -p no:xdist
+
+lock: $(UV) ## renew the hashed locks (names no registry)
+	@$(UV) lock -q
+	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --no-dev --group build > requirements-run.lock
+	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build > requirements.lock
+
+clean:
+	@rm -rf .venv .tools runs .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,129 @@
+"""Immutable records: what was measured, and nothing that was concluded. Raw counts, SI elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What an instrument says it is."""
+
+    maker: str
+    model: str
+    serial: str
+    firmware: str
+
+    def __str__(self) -> str:
+        return f"{self.maker} {self.model} (serial {self.serial}, firmware {self.firmware})"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One converter channel: its name in the wiring, its slot in the scan, and its range in volts."""
+
+    name: str
+    slot: int
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When a scanning converter samples: channel k of scan n is converted at (n·channels + k)·convert_period.
+
+    `convert_period` (s) is the value read back from the board, never the one asked for.
+    """
+
+    convert_period: float
+    channels: int
+
+    @property
+    def scan_period(self) -> float:
+        """Time between two conversions of one channel, s."""
+        return self.convert_period * self.channels
+
+    @property
+    def scan_rate(self) -> float:
+        """Conversions of one channel per second, Hz."""
+        return 1.0 / self.scan_period
+
+    def instants(self, slot: int, scans: int, first_scan: int = 0) -> NDArray[np.float64]:
+        """True sample instants of one channel since the first conversion of the record, s, shape (scans,)."""
+        return (np.arange(first_scan, first_scan + scans) * self.channels + slot) * self.convert_period
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A stretch of raw counts from a scanning 16-bit converter.
+
+    `counts` is uint16 offset binary, shape (scans, channels): 0 is `low`, 65535 is `high` of the channel.
+    `start` is the bench-clock time (s) of the record's first conversion (scan 0 of the record, not of this stretch);
+    `first_scan` says where in the record this stretch begins. `flags` name what the service saw ("overflow",
+    "clipped", "slip", "last", "clock").
+    """
+
+    counts: NDArray[np.uint16]
+    channels: tuple[Channel, ...]
+    timing: Timing
+    start: float
+    first_scan: int = 0
+    flags: frozenset[str] = frozenset()
+
+    def index(self, name: str) -> int:
+        """Column of the named channel; KeyError if it is not in the record."""
+        for column, channel in enumerate(self.channels):
+            if channel.name == name:
+                return column
+        raise KeyError(name)
+
+    def volts(self, name: str) -> NDArray[np.float64]:
+        """One channel in volts, shape (scans,)."""
+        column = self.index(name)
+        channel = self.channels[column]
+        return self.counts[:, column] / 65535.0 * (channel.high - channel.low) + channel.low
+
+    def instants(self, name: str) -> NDArray[np.float64]:
+        """True sample instants of one channel since the record's first conversion, s, shape (scans,)."""
+        return self.timing.instants(self.channels[self.index(name)].slot, len(self.counts), self.first_scan)
+
+    def clipped(self, name: str) -> int:
+        """How many samples of the channel sit on the first or last code."""
+        column = self.counts[:, self.index(name)]
+        return int(np.count_nonzero((column == 0) | (column == 65535)))
+
+
+@dataclass(frozen=True)
+class Response:
+    """A frequency response measured by a two-channel analyzer.
+
+    `frequency` in Hz and complex `ratio` (channel 2 ÷ channel 1, V/V), both shape (n,); `coherence` shape (n,) or None.
+    `averages` done; `overloads` names inputs that were over range while it was measured.
+    """
+
+    frequency: NDArray[np.float64]
+    ratio: NDArray[np.complex128]
+    coherence: NDArray[np.float64] | None
+    averages: int
+    overloads: tuple[str, ...] = ()
+
+    def at(self, frequency: float) -> complex:
+        """The ratio in the bin nearest to `frequency`."""
+        return complex(self.ratio[int(np.argmin(np.abs(self.frequency - frequency)))])
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Simultaneous traces: volts, shape (channels, n), at `start + interval·i` seconds from the trigger.
+
+    `clipped` counts the samples per channel that sat on the first or last code.
+    """
+
+    names: tuple[str, ...]
+    volts: NDArray[np.float64]
+    start: float
+    interval: float
+    clipped: tuple[int, ...] = ()

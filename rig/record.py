@@ -53,7 +53,8 @@ class Timing:
 
     def instants(self, slot: int, scans: int, first_scan: int = 0) -> NDArray[np.float64]:
         """True sample instants of one channel since the first conversion of the record, s, shape (scans,)."""
-        return (np.arange(first_scan, first_scan + scans) * self.channels + slot) * self.convert_period
+        conversions = np.arange(first_scan, first_scan + scans) * self.channels + slot
+        return np.asarray(conversions * self.convert_period, np.float64)
 
 
 @dataclass(frozen=True)
@@ -127,3 +128,70 @@ class Traces:
     start: float
     interval: float
     clipped: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """A device's clock against the bench's: bench time = offset + device time / (1 + rate_error).
+
+    `offset` is the bench-clock time (s) of device time zero, including the mean latency of the link; `rate_error` is
+    positive if the device's clock runs fast (1e-6 is 1 ppm). `u_offset` (s) and `u_rate` are standard uncertainties
+    from the scatter of `used` arrivals; `late` arrivals were left out.
+    """
+
+    offset: float
+    rate_error: float
+    u_offset: float
+    u_rate: float
+    used: int
+    late: int
+
+    def bench_time(self, device: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bench-clock time (s) of device times (s since the record's first sample), same shape."""
+        return self.offset + device / (1.0 + self.rate_error)
+
+
+@dataclass(frozen=True)
+class CubeSamples:
+    """A stretch of raw counts from the Sensor Cube's own simultaneous converter; lost samples are absent, never filled.
+
+    `counts` uint16, shape (n, 15), straight binary: 0 is 0 V, 65535 is 5 V. `sequence` and `device_us` (microseconds
+    by the device's clock at the sampling instant) are int64, unwrapped, and count from the record's first sample;
+    `flags` uint16 (1 over-range, 2 self-test, 4 converter fault, 8 supply low), `supply` and `temperature` raw uint16
+    counts, all shape (n,). `gaps` samples are missing within this stretch, `bad_frames` did not survive the line.
+    `start` is the bench-clock time (s) at which the record's first sample arrived, `rate` what the device set, Hz.
+    """
+
+    names: tuple[str, ...]
+    counts: NDArray[np.uint16]
+    sequence: NDArray[np.int64]
+    device_us: NDArray[np.int64]
+    flags: NDArray[np.uint16]
+    supply: NDArray[np.uint16]
+    temperature: NDArray[np.uint16]
+    gaps: int
+    bad_frames: int
+    rate: float
+    start: float
+    clock: ClockFit | None = None
+
+    def volts(self, name: str) -> NDArray[np.float64]:
+        """One channel in volts, shape (n,); ValueError if there is no such channel."""
+        return np.asarray(self.counts[:, self.names.index(name)] / 65535.0 * 5.0, np.float64)
+
+    def supply_volts(self) -> NDArray[np.float64]:
+        """Supply, V, shape (n,): counted through a divider by two."""
+        return np.asarray(self.supply / 65535.0 * 10.0, np.float64)
+
+    def celsius(self) -> NDArray[np.float64]:
+        """Temperature, °C, shape (n,)."""
+        return np.asarray(self.temperature * 0.01 - 100.0, np.float64)
+
+    def instants(self) -> NDArray[np.float64]:
+        """Sampling instants of all channels by the device's clock since the record's first sample, s, shape (n,)."""
+        return np.asarray(self.device_us * 1e-6, np.float64)
+
+    def clipped(self, name: str) -> int:
+        """How many samples of the channel sit on the first or last code."""
+        column = self.counts[:, self.names.index(name)]
+        return int(np.count_nonzero((column == 0) | (column == 65535)))

@@ -1,0 +1,5 @@
+"""`python -m rig`."""
+
+from rig.cli import main
+if __name__ == "__main__":
+    main()

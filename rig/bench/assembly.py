@@ -1,0 +1,156 @@
+"""Assembly: drivers loaded by name, instruments connected, clock and operator chosen as the bench file says."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from rig import config
+from rig.bench.benchfile import BenchDescription, filled
+from rig.bench.clock import SystemClock
+from rig.bench.control import BenchClock, BenchOperator, Control, ensure_served
+from rig.bench.guard import Charge
+from rig.bench.operators import AnswersOperator, TerminalOperator
+from rig.bench.roles import Energises, Instrument
+from rig.document import Document, read
+from rig.errors import BadInput, ConfigError, Problem
+from rig.room import NoTranscript, Room, Transcript
+
+ENTRY_POINTS = "rig.drivers"
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """One instrument of the bench file: its driver and its validated settings."""
+
+    role: str
+    driver: str
+    module: ModuleType
+    settings: Any
+
+
+@dataclass
+class Bench:
+    """Connected instruments by role, and the room that they stand in."""
+
+    description: BenchDescription
+    room: Room
+    control: Control | None
+    instruments: dict[str, Instrument] = field(default_factory=dict)
+    charges: list[Charge] = field(default_factory=list)
+
+
+def load_driver(name: str) -> ModuleType:
+    """A driver from the `drivers` package or an installed entry point; a YAML file can name nothing else.
+
+    Raises BadInput if there is no such driver.
+    """
+    if re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        for entry in importlib.metadata.entry_points(group=ENTRY_POINTS, name=name):
+            module: ModuleType = entry.load()
+            return module
+        if importlib.util.find_spec(f"drivers.{name}") is not None:
+            return importlib.import_module(f"drivers.{name}")
+    raise BadInput(f"found no driver '{name}', wanted a module of the drivers package or an entry point of {ENTRY_POINTS}")
+
+
+def fittings(description: BenchDescription) -> dict[str, Fitting]:
+    """Every instrument's driver and settings; raises ConfigError with all mistakes at their places."""
+    document = read(description.path)
+    found: dict[str, Fitting] = {}
+    problems: list[Problem] = []
+    for role in description.file.instruments:
+        fitting, wrong = _fitting(document, role, description.file.instruments[role])
+        problems += wrong
+        if fitting is not None:
+            found[role] = fitting
+    if problems:
+        raise ConfigError(problems)
+    return found
+
+
+def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[Fitting | None, list[Problem]]:
+    at = ("instruments", role)
+    try:
+        module = load_driver(str(entry.get("driver", "")))
+    except BadInput as error:
+        return None, [document.problem((*at, "driver"), str(error))]
+    own = _without_driver(document, at)
+    settings, problems = config.check(own, module.Settings, at)
+    if settings is None:
+        return None, problems
+    return Fitting(role, str(entry["driver"]), module, settings), []
+
+
+def _without_driver(document: Document, at: tuple[str, ...]) -> Document:
+    """The document as the driver should see its entry: without the key that chose the driver."""
+    data = {**document.data, "instruments": {**document.data["instruments"]}}
+    entry = dict(data["instruments"][at[1]])
+    entry.pop("driver", None)
+    data["instruments"][at[1]] = entry
+    return Document(document.file, document.root, data)
+
+
+@contextmanager
+def connected(
+    description: BenchDescription,
+    runs: Path,
+    roles: Callable[[str], bool] = lambda role: True,
+    *,
+    transcript: Transcript | None = None,
+    hidden_seed: int | None = None,
+) -> Iterator[Bench]:
+    """The bench with the instruments whose role is wanted; nothing on them is changed. Closed on leaving.
+
+    A simulated bench is started on demand and keeps its world in `.bench/` under the runs folder.
+    """
+    wanted = {role: fitting for role, fitting in fittings(description).items() if roles(role)}
+    with ExitStack() as stack:
+        addresses: Mapping[str, object] = {}
+        control = None
+        if description.simulated:
+            addresses = start_simulated(description, runs, hidden_seed)
+            control = stack.enter_context(Control(int(str(addresses["control"]))))
+        room = _room(description, control, transcript or NoTranscript())
+        bench = Bench(description, room, control)
+        for role, fitting in wanted.items():
+            settings = fitting.module.Settings.model_validate(filled(fitting.settings.model_dump(mode="json"), addresses))
+            instrument = fitting.module.connect(role, settings, room)
+            stack.callback(instrument.close)
+            bench.instruments[role] = instrument
+            if isinstance(instrument, Energises):
+                bench.charges.append(Charge(fitting.driver, role, settings.model_dump(mode="json")))
+        yield bench
+
+
+def start_simulated(description: BenchDescription, runs: Path, hidden_seed: int | None = None) -> Mapping[str, object]:
+    """Addresses of the simulated bench of this bench file, started if it is not running."""
+    simulated = description.file.simulated
+    if simulated is None:
+        raise BadInput(f"{description.path.name}: found a bench of real instruments, wanted a simulated one")
+    world = description.beside(simulated.world)
+    return ensure_served(world, simulated.seed, state_folder(description, runs), hidden_seed)
+
+
+def state_folder(description: BenchDescription, runs: Path) -> Path:
+    """Where the simulated bench keeps its world."""
+    return runs / ".bench" / re.sub(r"[^A-Za-z0-9._-]", "-", description.file.bench)
+
+
+def _room(description: BenchDescription, control: Control | None, transcript: Transcript) -> Room:
+    file = description.file
+    if control is None and "bench" in (file.clock, file.operator):
+        raise BadInput(f"{description.path.name}: found clock or operator 'bench', wanted a simulated bench for it")
+    clock = BenchClock(control) if file.clock == "bench" and control else SystemClock()
+    if file.operator == "bench" and control:
+        return Room(clock, BenchOperator(control), transcript)
+    if file.operator == "terminal":
+        return Room(clock, TerminalOperator(clock), transcript)
+    return Room(clock, AnswersOperator.load(description.beside(file.operator), clock), transcript)

@@ -1,0 +1,237 @@
+"""At the shaker: one sine point, the beam, and the filter that a person sets."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rig import tone
+from rig.bench.station import Station
+from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
+from rig.errors import SignalLow, SignalOverload, VerdictNotMet
+from rig.record import Response, Samples, Traces
+
+FIRST_APPROACH = 0.1  # share of the wanted drive at the very first point, until the drive constant is known
+CLOSE_ENOUGH = 0.05  # a level within 5 % of its target is not repeated
+OVERSHOOT = 1.10  # measured motion beyond this times a limit stops the run
+ANALYZER_SPAN = 1000.0  # Hz
+ANALYZER_POINTS = 401  # 2.5 Hz apart, records of 0.4 s
+ANALYZER_AVERAGES = 2
+SENSOR_INPUT = 4.0  # V; half the supply plus the signal of a 2 g unit, DC coupled
+
+
+def prepare(station: Station) -> None:
+    """Put the analyzer into its two-channel state and the converter at its rate; nothing is energised."""
+    station.analyzer.preset()
+    station.analyzer.configure(span=ANALYZER_SPAN, points=ANALYZER_POINTS, averages=ANALYZER_AVERAGES)
+    station.analyzer.set_range(2, SENSOR_INPUT)
+
+
+def sine(step: Sine, station: Station) -> dict[str, Any]:
+    """One frequency at one level; returns the body of the point's journal line.
+
+    Raises SignalOverload or SignalLow if the reference cannot be trusted, VerdictNotMet if the motion passes a limit.
+    """
+    omega = 2.0 * math.pi * step.frequency
+    approach = not station.drive.constants
+    for attempt in range(3):
+        wanted = step.acceleration / omega**2 / station.drive.constant(step.frequency)
+        share = FIRST_APPROACH if approach and attempt == 0 else 1.0
+        body = _record(step, station, wanted * share)
+        reached = body["acceleration"] / step.acceleration
+        station.drive.constants[step.frequency] = body["drive_constant"]
+        _refuse_excess(step, station, body)
+        if share == 1.0 and (step.hold == "drive" or abs(reached - 1.0) <= CLOSE_ENOUGH):
+            return body
+        station.journal.note("approach", label=step.label, attempt=attempt, reached=reached, source=body["source"])
+    raise VerdictNotMet(f"{step.label}: found {reached:.1%} of the level after 3 attempts, wanted within {CLOSE_ENOUGH:.0%}")
+
+
+def rest(station: Station) -> None:
+    """Switch the drive off, if it is on."""
+    if station.drive.on:
+        station.analyzer.output(False)
+        station.drive.on = False
+
+
+def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
+    velocity = step.acceleration / (2.0 * math.pi * step.frequency)
+    with station.watch("instruments"):
+        scale = station.vibrometer.set_range_for(velocity * OVERSHOOT)
+        station.analyzer.set_range(1, 1.3 * velocity / scale)
+        _move(station, step.frequency, amplitude)
+        station.room.clock.sleep(step.settle)
+        before = _trusted(station)
+        samples, response = _acquire(step, station)
+        traces = station.scope.capture() if station.keeps("scope") else None
+        after = _trusted(station)
+    if response is not None and response.overloads:
+        raise SignalOverload("analyzer", step.label, wanted="inputs in range", received=", ".join(response.overloads))
+    with station.watch("analysis"):
+        volts = _reference_volts(step, samples, response, traces)
+    return {
+        "frequency": step.frequency,
+        "level": step.level,
+        "hold": step.hold,
+        "target": step.target,
+        "axis": step.axis,
+        "source": amplitude,
+        "scale": scale,
+        "optical_level": [before.level, after.level],
+        "velocity": volts * scale,
+        "acceleration": volts * scale * 2.0 * math.pi * step.frequency,
+        "drive_constant": volts * scale / (2.0 * math.pi * step.frequency) / amplitude,
+        **_stored(step, station, samples, response, traces),
+    }
+
+
+def _move(station: Station, frequency: float, amplitude: float) -> None:
+    """Change the sine so that the acceleration never passes the larger of the old and the new one.
+
+    a grows with f² at constant drive, so the drive goes down before and up after the frequency changes.
+    """
+    drive, analyzer = station.drive, station.analyzer
+    if drive.on and amplitude < drive.amplitude:
+        analyzer.set_sine(drive.frequency, amplitude)
+    elif drive.on:
+        analyzer.set_sine(frequency, drive.amplitude)
+    analyzer.set_sine(frequency, amplitude)
+    if not drive.on:
+        analyzer.output(True)
+    drive.frequency, drive.amplitude, drive.on = frequency, amplitude, True
+
+
+def _acquire(step: Sine, station: Station) -> tuple[Samples | None, Response | None]:
+    """The converter and the analyzer look at the same stretch of motion."""
+    samples = response = None
+    if station.keeps("recorder"):
+        station.recorder.start(step.scans)
+    if station.keeps("analyzer"):
+        station.analyzer.start_measurement()
+        response = station.analyzer.finish_measurement()
+    _trusted(station)
+    if station.keeps("recorder"):
+        samples = station.recorder.read(step.scans)
+    return samples, response
+
+
+def _trusted(station: Station) -> Any:
+    """The vibrometer's own judgement, required to be good."""
+    return station.vibrometer.check(require=True)
+
+
+def _reference_volts(
+    step: Sine, samples: Samples | None, response: Response | None, traces: Traces | None
+) -> float:
+    """Amplitude of the reference channel at the driven frequency, V."""
+    if samples is not None:
+        fitted = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
+        return abs(fitted.amplitude)
+    if traces is not None:
+        instants = traces.start + traces.interval * np.arange(traces.volts.shape[1])
+        return abs(tone.fit_three(instants, traces.volts[0], step.frequency).amplitude)
+    raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
+
+
+def _stored(
+    step: Sine, station: Station, samples: Samples | None, response: Response | None, traces: Traces | None
+) -> dict[str, Any]:
+    body: dict[str, Any] = {}
+    name = f"{step.frequency:g}Hz-{step.level}"
+    if samples is not None:
+        body["samples"] = station.store(name, samples).name
+        body["conditions"] = station.conditions(samples)
+        body["clipped"] = {c.name: n for c in samples.channels if (n := samples.clipped(c.name))}
+    with station.watch("storage"):
+        if response is not None:
+            body["response"] = station.journal.block(f"{name}-response", _columns(response), response_meta(response)).name
+        if traces is not None:
+            body["traces"] = station.journal.block(f"{name}-traces", traces.volts, traces_meta(traces)).name
+    return body
+
+
+def _columns(response: Response) -> np.ndarray[Any, np.dtype[np.float64]]:
+    coherence = np.full(len(response.frequency), np.nan) if response.coherence is None else response.coherence
+    return np.column_stack([response.frequency, response.ratio.real, response.ratio.imag, coherence])
+
+
+def response_meta(response: Response) -> dict[str, Any]:
+    return {
+        "kind": "response",
+        "columns": ["frequency", "real", "imaginary", "coherence"],
+        "averages": response.averages,
+        "overloads": list(response.overloads),
+    }
+
+
+def traces_meta(traces: Traces) -> dict[str, Any]:
+    return {
+        "kind": "traces",
+        "names": list(traces.names),
+        "start": traces.start,
+        "interval": traces.interval,
+        "clipped": list(traces.clipped),
+    }
+
+
+def _refuse_excess(step: Sine, station: Station, body: dict[str, Any]) -> None:
+    limits = station.description.file.limits
+    stroke = body["velocity"] / (2.0 * math.pi * step.frequency)
+    for name, value, limit in (
+        ("acceleration", body["acceleration"], limits.acceleration),
+        ("stroke", stroke, limits.stroke),
+        ("velocity", body["velocity"], limits.velocity),
+    ):
+        if value > limit * OVERSHOOT:
+            rest(station)
+            raise VerdictNotMet(f"{step.label}: found {name} {value:.4g} (SI), wanted at most {limit:.4g}; the drive is off")
+
+
+def align(step: AlignBeam, station: Station) -> dict[str, Any]:
+    """The operator aligns the beam; the level is judged afterwards."""
+    for request in requests_of(step):
+        station.ask(request)
+    check = station.vibrometer.check(require=False)
+    if check.level < 5:
+        raise SignalLow("vibrometer", step.label, received=f"level {check.level}", wanted="at least 5 of 40 bars")
+    return {"optical_level": check.level}
+
+
+def set_filter(step: SetFilter, station: Station) -> dict[str, Any]:
+    """The operator sets the filter, and its response at three frequencies says what it really is."""
+    confirmation = station.filter.configure(
+        mode=step.mode, cutoff=step.cutoff, response=step.response, gain_db=step.gain_db
+    )
+    station.journal.note("confirmed", action="set_filter", who=confirmation.who, when=confirmation.when,
+                         said=confirmation.said, settings=dict(confirmation.request.settings), text=confirmation.request.text)
+    if step.verify:
+        station.ask(filter_test_request(on=True))
+        try:
+            verified = station.filter.verify(lambda frequency: _measured_response(frequency, station))
+        finally:
+            rest(station)
+            station.ask(filter_test_request(on=False))
+        station.journal.note("filter_verified", result=str(verified))
+    return {"status": station.filter.status}
+
+
+def _measured_response(frequency: float, station: Station) -> complex:
+    """The complex response from input 1 to input 2 at one frequency, with the analyzer's own source."""
+    analyzer, drive = station.analyzer, station.drive
+    span = max(1000.0, 2.0 * frequency)
+    analyzer.configure(span=span, points=ANALYZER_POINTS, averages=ANALYZER_AVERAGES)
+    analyzer.set_range(1, 2.0)
+    analyzer.set_range(2, 2.0)
+    # A whole number of analyzer bins, so that the line falls on one.
+    resolution = span / (ANALYZER_POINTS - 1)
+    on_bin = round(frequency / resolution) * resolution
+    analyzer.set_sine(on_bin, 0.5)
+    if not drive.on:
+        analyzer.output(True)
+        drive.on = True
+    drive.frequency, drive.amplitude = on_bin, 0.5
+    station.room.clock.sleep(0.3)
+    analyzer.start_measurement()
+    return analyzer.finish_measurement().at(on_bin)

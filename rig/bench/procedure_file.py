@@ -1,0 +1,126 @@
+"""A technician's YAML into a plan: one procedure, or a sequence of procedures, prompts, waits and repetitions."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterator, Mapping
+from functools import cache
+from types import ModuleType
+from typing import Annotated, Any, Union
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, create_model
+
+from rig import config
+from rig.bench.steps import Ask, BenchFacts, Mistake, Plan, Step, Wait
+from rig.document import Document, KeyPath
+from rig.errors import ConfigError
+from rig.room import Request
+from rig.units import Time
+
+
+class Prompt(BaseModel):
+    """A question or instruction that the operator confirms."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    prompt: str = Field(min_length=1)
+
+
+class WaitItem(BaseModel):
+    """Nothing moves for so long."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    wait: Time = Field(ge=0)
+
+
+def procedures() -> dict[str, ModuleType]:
+    """Every procedure there is, by the name of its file."""
+    package = importlib.import_module("procedures")
+    names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+    return {name: importlib.import_module(f"procedures.{name}") for name in names}
+
+
+def _kind(value: Any) -> str | None:
+    """Which member of the union a mapping means; None is reported as a mistake with the choices."""
+    if isinstance(value, BaseModel):
+        value = dict(value)
+    if not isinstance(value, Mapping):
+        return None
+    for key, tag in (("steps", "repeat" if "repeat" in value else "sequence"), ("prompt", "prompt"), ("wait", "wait")):
+        if key in value:
+            return tag
+    name = value.get("procedure")
+    return name if isinstance(name, str) else None
+
+
+@cache
+def file_model() -> type[RootModel[Any]]:
+    """What a procedure file may hold; also the source of its JSON schema."""
+    kinds = {name: module.Settings for name, module in procedures().items()}
+    leaves = [Annotated[model, Tag(name)] for name, model in kinds.items()]
+    items = [*leaves, Annotated[Prompt, Tag("prompt")], Annotated[WaitItem, Tag("wait")]]
+    flat = Annotated[Union[tuple(items)], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
+    repeat = create_model(
+        "Repeat",
+        __doc__="The same steps several times.",
+        __config__=ConfigDict(extra="forbid", frozen=True),
+        repeat=(Annotated[int, Field(ge=1, le=1000)], ...),
+        steps=(Annotated[list[flat], Field(min_length=1)], ...),  # type: ignore[valid-type]
+    )
+    item = Annotated[Union[(*items, Annotated[repeat, Tag("repeat")])], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
+    sequence = create_model(
+        "Sequence",
+        __doc__="Procedures, prompts, waits and repetitions, one after another in one run.",
+        __config__=ConfigDict(extra="forbid", frozen=True),
+        title=(str, ""),
+        steps=(Annotated[list[item], Field(min_length=1)], ...),  # type: ignore[valid-type]
+    )
+    whole = Annotated[Union[(*leaves, Annotated[sequence, Tag("sequence")])], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
+    return create_model("ProcedureFile", __base__=RootModel[whole])  # type: ignore[valid-type]
+
+
+def plan(document: Document, facts: BenchFacts) -> Plan:
+    """The plan that a document means on this bench; raises ConfigError with every mistake at its line and column."""
+    loaded, problems = config.check(document, file_model())
+    if loaded is None:
+        raise ConfigError(problems)
+    made = _plan(loaded.root, facts)
+    if made.mistakes:
+        raise ConfigError([document.problem(mistake.path, mistake.text) for mistake in made.mistakes])
+    return made
+
+
+def _plan(item: Any, facts: BenchFacts) -> Plan:
+    if hasattr(item, "procedure"):
+        made: Plan = procedures()[item.procedure].expand(item, facts)
+        return made
+    parts = list(_parts(item.steps, ("steps",), facts))
+    return Plan(
+        procedure="sequence",
+        title=item.title or "Sequence",
+        settings=item.model_dump(mode="json"),
+        steps=tuple(step for _, part in parts for step in part.steps),
+        mistakes=tuple(Mistake((*path, *one.path), one.text) for path, part in parts for one in part.mistakes),
+        expect={name: limits for _, part in parts for name, limits in part.expect.items()},
+    )
+
+
+def _parts(items: list[Any], path: KeyPath, facts: BenchFacts) -> Iterator[tuple[KeyPath, Plan]]:
+    for number, item in enumerate(items):
+        here = (*path, number)
+        if hasattr(item, "repeat"):
+            for turn in range(item.repeat):
+                if turn:
+                    request = Request("remount", "Take the cube off and put it back as it was.")
+                    yield here, _single(Ask("remount", request=request, duration=60))
+                yield from _parts(item.steps, (*here, "steps"), facts)
+        elif hasattr(item, "prompt"):
+            yield here, _single(Ask("prompt", request=Request("confirm", item.prompt), duration=10))
+        elif hasattr(item, "wait"):
+            yield here, _single(Wait("wait", duration=item.wait))
+        else:
+            yield here, _plan(item, facts)
+
+
+def _single(step: Step) -> Plan:
+    return Plan(procedure="step", title=step.label, settings={}, steps=(step,))

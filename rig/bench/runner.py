@@ -1,0 +1,336 @@
+"""The runner: carries a plan out step by step, keeps the journal, and leaves the bench at rest whatever happens."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rig import config
+from rig.archive import Runs
+from rig.bench import at_rest, at_shaker, at_turntable
+from rig.bench.assembly import Bench, connected
+from rig.bench.benchfile import BenchDescription
+from rig.bench.guard import Guard
+from rig.bench.roles import Energises
+from rig.bench.station import Drive, Station, Stopwatch
+from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
+from rig.errors import BadInput, VerdictNotMet, WorkFailed
+from rig.run_writer import RunWriter
+
+PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
+RESUME_TOLERANCE = 0.02  # the repeated point must give the same ratio of motion to drive within this
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run is: steps done of all, and the bench time that the rest will take, s."""
+
+    done: int
+    total: int
+    points_done: int
+    points: int
+    label: str
+    remaining: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended, and where real time went (s)."""
+
+    name: str
+    status: str
+    elapsed: float
+    shares: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Order:
+    """Everything that a run is made from. `document` is the procedure as the user wrote it, so that it can be resumed."""
+
+    plan: Plan
+    document: Mapping[str, Any]
+    description: BenchDescription
+    runs: Path
+    label: str
+    allow_overdue: bool = False
+    on_progress: Callable[[Progress], None] = field(default=lambda progress: None)
+
+
+class Terminated(BaseException):
+    """SIGTERM or SIGHUP: like Ctrl-C, it unwinds through the safe action."""
+
+
+def run(order: Order) -> Outcome:
+    """Carry out a plan as a new run. Errors pass through after the bench is at rest; the run is then `interrupted`.
+
+    Raises what the steps raise; VerdictNotMet also closes the run as `aborted`.
+    """
+    with _stoppable(), Guard.start() as guard, connected(order.description, order.runs, _needed(order)) as bench:
+        overdue = _refuse_beforehand(order, bench)
+        runs = Runs(order.runs, now=bench.room.clock.now)
+        with runs.create(order.plan.procedure, _header(order, bench, overdue), order.label) as writer:
+            return _Carrying(order, bench, guard, writer).carry_out(done=frozenset())
+
+
+def resume(order: Order, name: str) -> Outcome:
+    """Go on with an interrupted run: same instruments, same settings, the last point repeated, then the rest.
+
+    Raises BadInput if the bench or the procedure is not the one of the run, VerdictNotMet if the repeated point differs.
+    """
+    with _stoppable(), Guard.start() as guard, connected(order.description, order.runs, _needed(order)) as bench:
+        _refuse_beforehand(order, bench)
+        runs = Runs(order.runs, now=bench.room.clock.now)
+        old = runs.open(name)
+        _refuse_other_bench(old.header, bench)
+        steps = {int(e.body["index"]): e.body for e in old.lines() if e.kind in ("step", "point")}
+        with runs.reopen(name) as writer:
+            carrying = _Carrying(order, bench, guard, writer)
+            return carrying.carry_out(done=frozenset(steps), recorded=steps)
+
+
+def _needed(order: Order) -> Callable[[str], bool]:
+    """Which roles a plan needs: a turntable run leaves the shaker's instruments alone, and the other way round."""
+    kinds = {type(step) for step in order.plan.steps}
+    needed: set[str] = {"recorder"}
+    if kinds & {Sine, AlignBeam}:
+        needed |= {"analyzer", "vibrometer", "filter", "scope"}
+    if kinds & {SetFilter}:
+        needed |= {"analyzer", "filter"}
+    if Spin in kinds:
+        needed |= {"turntable", "encoder"}
+    if "cube" in order.description.file.recorders:
+        needed |= {"cube"}
+    if "scope" not in order.description.file.recorders:
+        needed -= {"scope"}
+    return lambda role: role in needed
+
+
+def _refuse_beforehand(order: Order, bench: Bench) -> list[str]:
+    """Everything that can be refused before anything is energised; returns overdue standards that were overridden."""
+    overdue = order.description.refuse_overdue(bench.room.clock.now(), order.allow_overdue)
+    check = getattr(bench.room.operator, "check", None)
+    if check is not None:
+        check(order.plan.requests)
+    return overdue
+
+
+def _header(order: Order, bench: Bench, overdue: list[str]) -> dict[str, Any]:
+    """What the run is: everything needed to understand its records years later."""
+    description, plan = order.description, order.plan
+    return {
+        "title": plan.title,
+        "settings": plan.settings,
+        "document": order.document,
+        "steps": [{"kind": type(s).__name__, "label": s.label, "point": s.point} for s in plan.steps],
+        "points_total": plan.points,
+        "expect": {name: list(limits) for name, limits in plan.expect.items()},
+        "simulated": description.simulated,
+        "bench": description.file.bench,
+        "bench_file": description.file.model_dump(mode="json"),
+        "sensor": description.sensor.model_dump(mode="json"),
+        "standards": [standard.model_dump(mode="json") for standard in description.standards],
+        "overdue_overridden": overdue,
+        "identities": identities(bench),
+        "program": config.program_version(),
+        "started": bench.room.clock.now(),
+    }
+
+
+def identities(bench: Bench) -> dict[str, dict[str, str]]:
+    """Every connected instrument's identity; raises WrongIdentity."""
+    return {role: asdict(instrument.identify()) for role, instrument in bench.instruments.items()}
+
+
+def _refuse_other_bench(header: Mapping[str, Any], bench: Bench) -> None:
+    now = identities(bench)
+    for role, identity in header["identities"].items():
+        if now.get(role) != identity:
+            raise BadInput(f"{role}: found {now.get(role)}, wanted the instrument of the run: {identity}")
+    file = bench.description.file.model_dump(mode="json")
+    for key, value in header["bench_file"].items():
+        if file.get(key) != value:
+            raise BadInput(f"bench file, {key}: found {file.get(key)}, wanted as in the run: {value}")
+
+
+class _Carrying:
+    """One plan being carried out."""
+
+    def __init__(self, order: Order, bench: Bench, guard: Guard, writer: RunWriter) -> None:
+        self._order, self._bench, self._guard, self._writer = order, bench, guard, writer
+        self._done = 0
+        self._watch = Stopwatch()
+        self._station = Station(
+            order.description,
+            bench.instruments,
+            bench.room,
+            writer,
+            guard,
+            self._watch,
+            self._report,
+            Drive(order.description.file.shaker.displacement_per_volt),
+        )
+
+    def carry_out(self, done: frozenset[int], recorded: Mapping[int, Mapping[str, Any]] | None = None) -> Outcome:
+        """Every step that is not done; the bench is at rest when this returns or raises."""
+        begun, cost = time.perf_counter(), self._simulation()
+        self._guard.arm(self._bench.charges, within=PATIENCE, log=self._writer.path / "guard.jsonl")
+        try:
+            self._prepare()
+            if recorded:
+                self._repeat_last(recorded)
+            for index, step in enumerate(self._order.plan.steps):
+                self._done = index
+                if index not in done:
+                    self._one(index, step)
+            self._done = len(self._order.plan.steps)
+        except VerdictNotMet as verdict:
+            self._end("aborted", verdict)
+            raise
+        except BaseException as error:
+            self._end(None, error)
+            raise
+        self._end("completed", None)
+        elapsed = time.perf_counter() - begun
+        return Outcome(self._writer.name, "completed", elapsed, self._shares(elapsed, self._simulation() - cost))
+
+    def _one(self, index: int, step: Step) -> None:
+        self._guard.beat(within=PATIENCE + step.duration)
+        self._report(step.label)
+        body = {"label": step.label, **carry_out_step(step, self._station)}
+        with self._watch("storage"):
+            if step.point:
+                self._writer.point_done(index, body)
+            else:
+                self._writer.note("step", index=index, **body)
+
+    def _prepare(self) -> None:
+        """Bring the instruments into the state that the steps expect, and write down what they read back."""
+        if any(isinstance(step, Sine) for step in self._order.plan.steps):
+            at_shaker.prepare(self._station)
+        if "recorder" in self._bench.instruments:
+            channels, rate = self._station.channels(), self._order.description.file.rate
+            self._station.recorder.configure(rate=rate, channels=channels)
+        for role, instrument in self._bench.instruments.items():
+            self._writer.note("settings", role=role, settings=instrument.settings())
+
+    def _repeat_last(self, recorded: Mapping[int, Mapping[str, Any]]) -> None:
+        """The last sine point again: the ratio of motion to drive must be what it was before anything goes on."""
+        steps = self._order.plan.steps
+        for body in recorded.values():
+            if "drive_constant" in body:
+                self._station.drive.constants[body["frequency"]] = body["drive_constant"]
+        for index in sorted(recorded, reverse=True):
+            step = steps[index]
+            if isinstance(step, Ask) and step.request.action == "cables":
+                self._station.cables = str(step.request.settings["set"])
+                break
+        last = max((i for i in recorded if isinstance(steps[i], Sine)), default=None)
+        if last is None:
+            return
+        body = carry_out_step(steps[last], self._station)
+        was, now = float(recorded[last]["drive_constant"]), float(body["drive_constant"])
+        self._writer.note("repeated", index=last, was=was, now=now, **body)
+        if abs(now / was - 1.0) > RESUME_TOLERANCE:
+            raise VerdictNotMet(
+                f"{steps[last].label}, repeated: found {now / was - 1.0:+.2%} in motion per drive, "
+                f"wanted within {RESUME_TOLERANCE:.0%} of the point before the interruption"
+            )
+
+    def _end(self, status: str | None, error: BaseException | None) -> None:
+        """The safe action first, then the seal. Without confirmation of the safe action the guard stays armed."""
+        with _uninterrupted():
+            for instrument in self._bench.instruments.values():
+                if isinstance(instrument, Energises):
+                    instrument.make_safe()
+            self._guard.disarm()
+        if error is not None:
+            self._writer.note("stopped", error=type(error).__name__, reason=str(error))
+        if status == "completed":
+            self._writer.seal("completed")
+        elif status == "aborted":
+            self._writer.seal("aborted", str(error))
+
+    def _report(self, label: str) -> None:
+        steps = self._order.plan.steps
+        self._order.on_progress(
+            Progress(
+                self._done,
+                len(steps),
+                sum(step.point for step in steps[: self._done]),
+                self._order.plan.points,
+                label,
+                sum(step.duration for step in steps[self._done :]),
+            )
+        )
+
+    def _simulation(self) -> float:
+        return float(self._bench.control.ask("cost")["simulation_s"]) if self._bench.control else 0.0
+
+    def _shares(self, elapsed: float, simulation: float) -> dict[str, float]:
+        spent = self._watch.seconds
+        wire = max(spent["instruments"] - simulation, 0.0)
+        rest = elapsed - wire - simulation - spent["storage"] - spent["analysis"]
+        return {
+            "wire": wire,
+            "simulation": simulation,
+            "storage": spent["storage"],
+            "analysis": spent["analysis"],
+            "other": max(rest, 0.0),
+        }
+
+
+def carry_out_step(step: Step, station: Station) -> dict[str, Any]:
+    """Do one step and say what there is to say about it."""
+    match step:
+        case Sine():
+            return at_shaker.sine(step, station)
+        case Static():
+            return at_rest.static(step, station)
+        case Spin():
+            return at_turntable.spin(step, station)
+        case SetFilter():
+            body = at_shaker.set_filter(step, station)
+            at_shaker.prepare(station)
+            return body
+        case AlignBeam():
+            return at_shaker.align(step, station)
+        case Ask():
+            return at_rest.ask(step, station)
+        case Wait():
+            return at_rest.wait(step, station)
+    raise WorkFailed(f"found a step of kind {type(step).__name__}, wanted one that the bench knows")
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """SIGTERM and SIGHUP unwind like Ctrl-C does, through every `finally`."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise Terminated(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """A second Ctrl-C may skip tidying, never the safe action, which takes a bounded time."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+

@@ -1,0 +1,174 @@
+"""The station: what a step needs while it is carried out. Instruments by role, the room, the run's journal."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from rig.bench.benchfile import BenchDescription
+from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
+from rig.errors import BadInput
+from rig.record import Samples
+from rig.room import Confirmation, Request, Room
+
+
+class Heartbeat(Protocol):
+    """The guard, as a step sees it."""
+
+    def beat(self, within: float) -> None:
+        """Promise another sign of life within so many seconds of real time."""
+        ...
+
+
+class Journal(Protocol):
+    """The run, as a step sees it: notes and closed blocks."""
+
+    def note(self, kind: str, **body: Any) -> None: ...
+    def block(self, name: str, counts: Any, meta: Mapping[str, Any]) -> Any: ...
+
+
+class Stopwatch:
+    """Real time spent on each kind of work, s."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+
+    @contextmanager
+    def __call__(self, kind: str) -> Iterator[None]:
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[kind] += time.perf_counter() - begun  # type: ignore[assignment]
+
+
+@dataclass
+class Drive:
+    """What the shaker is being asked for, and what it made of it at each frequency.
+
+    `constants` maps frequency (Hz) to the measured drive constant k, m per programmed volt (paper eq. 3).
+    """
+
+    nominal: float
+    constants: dict[float, float] = field(default_factory=dict)
+    frequency: float = 0.0
+    amplitude: float = 0.0
+    on: bool = False
+
+    def constant(self, frequency: float) -> float:
+        """k measured at the nearest frequency, or the nominal one before anything was measured."""
+        if not self.constants:
+            return self.nominal
+        return self.constants[min(self.constants, key=lambda f: abs(np.log(f / frequency)))]
+
+
+@dataclass
+class Station:
+    """Instruments by role, and everything else that carrying out a step needs."""
+
+    description: BenchDescription
+    instruments: Mapping[str, Instrument]
+    room: Room
+    journal: Journal
+    guard: Heartbeat
+    watch: Stopwatch
+    progress: Callable[[str], None]
+    drive: Drive
+    cables: str = "shaker"
+
+    @property
+    def analyzer(self) -> Analyzer:
+        return cast(Analyzer, self._role("analyzer"))
+
+    @property
+    def vibrometer(self) -> Vibrometer:
+        return cast(Vibrometer, self._role("vibrometer"))
+
+    @property
+    def recorder(self) -> Recorder:
+        return cast(Recorder, self._role("recorder"))
+
+    @property
+    def scope(self) -> Scope:
+        return cast(Scope, self._role("scope"))
+
+    @property
+    def filter(self) -> Filter:
+        return cast(Filter, self._role("filter"))
+
+    @property
+    def cube(self) -> Any:
+        return self._role("cube")
+
+    @property
+    def turntable(self) -> Any:
+        return self._role("turntable")
+
+    @property
+    def encoder(self) -> Any:
+        return self._role("encoder")
+
+    def _role(self, role: str) -> Instrument:
+        if role not in self.instruments:
+            raise BadInput(f"bench {self.description.file.bench}: found no {role}, wanted one for this step")
+        return self.instruments[role]
+
+    def keeps(self, recorder: str) -> bool:
+        """Whether this instrument keeps data at every point."""
+        return recorder in self.description.file.recorders and recorder in self.instruments
+
+    def channels(self) -> tuple[str, ...]:
+        """Wiring of the converter with the cable set that is connected now."""
+        cables: dict[str, tuple[str, ...]] = dict(self.description.file.cables)
+        return cables[self.cables]
+
+    def ask(self, request: Request) -> Confirmation:
+        """Let the operator do one thing, and keep who confirmed what and when."""
+        self.guard.beat(within=3600.0)
+        confirmation = self.room.operator.ask(request)
+        self.journal.note(
+            "confirmed",
+            action=request.action,
+            text=request.text,
+            settings=dict(request.settings),
+            who=confirmation.who,
+            when=confirmation.when,
+            said=confirmation.said,
+        )
+        if request.action == "cables":
+            self.cables = str(request.settings["set"])
+        return confirmation
+
+    def store(self, name: str, samples: Samples) -> Any:
+        """Close one stretch of raw counts as a block; returns the block's reference."""
+        with self.watch("storage"):
+            return self.journal.block(name, samples.counts, samples_meta(samples))
+
+    def conditions(self, samples: Samples) -> dict[str, float]:
+        """Supply (V) and temperature (°C) while the record was taken, from its own channels."""
+        found = {}
+        names = {channel.name for channel in samples.channels}
+        if "supply" in names:
+            found["supply"] = float(samples.volts("supply").mean())
+        if "temperature" in names:
+            found["temperature"] = float(samples.volts("temperature").mean() / 0.010)
+        return found
+
+
+def samples_meta(samples: Samples) -> dict[str, Any]:
+    """What turns a block of counts back into Samples."""
+    return {
+        "kind": "samples",
+        "channels": [[c.name, c.slot, c.low, c.high] for c in samples.channels],
+        "convert_period": samples.timing.convert_period,
+        "scan_channels": samples.timing.channels,
+        "start": samples.start,
+        "first_scan": samples.first_scan,
+        "flags": sorted(samples.flags),
+    }

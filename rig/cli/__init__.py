@@ -1,0 +1,79 @@
+"""The command line: the one place where everything meets.
+
+Commands are imported when they are called, so that `rig --help` stays as quick as the shell expects.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import NoReturn
+
+import click
+
+# name: (module that has it, what `rig --help` says)
+COMMANDS = {
+    "sweep": ("measure", "Drive one axis on the shaker over frequency and level."),
+    "turntable": ("measure", "Turn the cube on the platter at 33 1/3 or 45 rpm."),
+    "noise": ("measure", "Record everything at rest."),
+    "tumble": ("measure", "Record static poses against gravity."),
+    "run": ("measure", "Run a procedure from a YAML file."),
+    "resume": ("measure", "Go on with an interrupted run."),
+    "runs": ("runs", "List the runs."),
+    "show": ("runs", "Show one run."),
+    "verify": ("runs", "Check a run's digests, from the journal to the last block."),
+    "bench": ("bench", "Check, serve or reveal the bench."),
+    "daq": ("daq", "The acquisition service on the PC-104 machine."),
+    "init": ("init", "Copy example configs and procedures into this folder."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported only when they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"rig.cli.{COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="rig")
+def cli() -> None:
+    """Calibrate a MEMS inertial unit traceably on a hardware-in-the-loop bench, and explain the sensor.
+
+    Without a bench of your own everything runs on the simulated one. Start with: rig sweep --axis x
+    """
+
+
+def main() -> NoReturn:
+    """Entry point: deliberate errors become one message on stderr and the exit code that the error names."""
+    from rig.errors import RigError
+
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        code = stop.exit_code
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted; the bench is at rest", err=True)
+        code = 130
+    except RigError as error:
+        click.echo(f"error: {error}", err=True)
+        code = error.exit_code
+    except BrokenPipeError:  # the reader of our output (head, less) went away
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 141
+    sys.exit(code if isinstance(code, int) else 0)

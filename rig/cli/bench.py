@@ -1,0 +1,165 @@
+"""Commands about the bench itself: check, serve, reveal."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli.options import bench_option, bench_path, json_option, print_json, runs_option
+
+if TYPE_CHECKING:
+    from rig.bench.assembly import Bench
+    from rig.bench.benchfile import BenchDescription
+
+
+@click.group(short_help="Check, serve or reveal the bench.")
+def bench() -> None:
+    """The bench itself: find its instruments, serve the simulated one, reveal what it hides."""
+
+
+@bench.command()
+@bench_option
+@runs_option
+@json_option
+@click.option("--watch", type=click.IntRange(min=1), metavar="N", help="Show the optical level N times while you align the beam.")
+def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> None:
+    """Find every instrument, its identity, its errors, and the due dates of the standards."""
+    from rig.bench.benchfile import describe
+    from rig.errors import WorkFailed
+
+    description = describe(bench_path(bench))
+    rows = _instrument_rows(description, runs)
+    standards, level = _standard_rows(description, runs, watch, quiet=as_json)
+    report = {"bench": description.file.bench, "simulated": description.simulated, "instruments": rows, "standards": standards,
+              "optical_level": level}
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report)
+    missing = [row["role"] for row in rows if row["error"]]
+    if missing:
+        raise WorkFailed(f"found no working {', '.join(missing)}; wanted every instrument of {description.path.name}")
+
+
+def _instrument_rows(description: BenchDescription, runs: Path) -> list[dict[str, Any]]:
+    """One row for each instrument; one that fails does not hide the others."""
+    from rig.bench.assembly import connected, fittings
+    from rig.errors import WorkFailed
+
+    rows = []
+    for role, fitting in fittings(description).items():
+        row: dict[str, Any] = {"role": role, "driver": fitting.driver, "identity": "", "error": "", "pending": []}
+        try:
+            with connected(description, runs, lambda name, wanted=role: name == wanted) as found:
+                instrument = found.instruments[role]
+                row["identity"] = str(instrument.identify())
+                errors = getattr(instrument, "errors", None)
+                row["pending"] = list(errors()) if errors is not None else []
+        except WorkFailed as error:
+            row["error"] = str(error)
+        rows.append(row)
+    return rows
+
+
+def _standard_rows(
+    description: BenchDescription, runs: Path, watch: int | None, *, quiet: bool
+) -> tuple[list[dict[str, Any]], int | None]:
+    from rig.bench.assembly import connected
+    from rig.errors import WorkFailed
+
+    level = None
+    try:
+        with connected(description, runs, lambda role: role == "vibrometer") as found:
+            late = {standard.standard for standard in description.overdue(found.room.clock.now())}
+            if "vibrometer" in found.instruments:
+                level = _watched_level(found, watch, quiet)
+    except WorkFailed:
+        late = {standard.standard for standard in description.overdue(time.time())}
+    return [
+        {"standard": s.standard, "instrument": s.instrument, "certificate": s.certificate, "due": s.due.isoformat(),
+         "overdue": s.standard in late}
+        for s in description.standards
+    ], level
+
+
+def _watched_level(found: Bench, watch: int | None, quiet: bool) -> int:
+    vibrometer: Any = found.instruments["vibrometer"]
+    level = int(vibrometer.level())
+    for _ in range(watch or 0):
+        level = int(vibrometer.level())
+        if not quiet:
+            click.echo(f"optical level {level:2d} of 40  {'█' * level}")
+        found.room.clock.sleep(0.2)
+    return level
+
+
+def _print_report(report: dict[str, Any]) -> None:
+    mark = " (SIMULATED)" if report["simulated"] else ""
+    click.echo(f"bench {report['bench']}{mark}")
+    for row in report["instruments"]:
+        click.echo(f"  {row['role']:<11} {row['error'] or row['identity']}")
+        for error in row["pending"]:
+            click.echo(f"  {'':<11} error queue: {error}")
+    for row in report["standards"]:
+        due = f"OVERDUE since {row['due']}" if row["overdue"] else f"due {row['due']}"
+        click.echo(f"  {row['standard']:<11} {row['instrument']}, certificate {row['certificate']}, {due}")
+    if report["optical_level"] is not None:
+        click.echo(f"  {'beam':<11} optical level {report['optical_level']} of 40")
+    click.echo("next: rig sweep --axis x")
+
+
+@bench.command()
+@bench_option
+@runs_option
+@json_option
+@click.option("--seed", type=click.IntRange(min=0), help="World seed [default: the bench file's].")
+@click.option("--hidden-seed", type=click.IntRange(min=0), help="Hide one effect, drawn with this seed, until `rig bench reveal`.")
+def serve(bench: Path | None, runs: Path, as_json: bool, seed: int | None, hidden_seed: int | None) -> None:
+    """Serve the simulated bench until Ctrl-C, so that any program can talk to it."""
+    from rig.bench import assembly, control
+    from rig.bench.benchfile import describe
+    from rig.errors import BadInput
+
+    description = describe(bench_path(bench))
+    simulated = description.file.simulated
+    if simulated is None:
+        raise BadInput(f"{description.path.name}: found a bench of real instruments, wanted a simulated one")
+    state = assembly.state_folder(description, runs)
+    world = description.beside(simulated.world)
+    addresses = control.ensure_served(world, simulated.seed if seed is None else seed, state, hidden_seed, idle=0)
+    if as_json:
+        print_json(addresses)
+    else:
+        for name, address in addresses.items():
+            click.echo(f"{name:<9} {address}")
+        click.echo("serving until Ctrl-C; next, elsewhere: rig sweep --axis x, or any VISA program")
+    try:
+        while control.served(state) is not None:
+            time.sleep(1.0)
+    finally:
+        control.stop(state)
+
+
+@bench.command()
+@bench_option
+@runs_option
+@json_option
+def reveal(bench: Path | None, runs: Path, as_json: bool) -> None:
+    """Tell what the simulated world hides, with its strength d′."""
+    from rig.bench import assembly
+    from rig.bench.benchfile import describe
+    from rig.bench.control import Control
+
+    addresses = assembly.start_simulated(describe(bench_path(bench)), runs)
+    with Control(int(str(addresses["control"]))) as control:
+        effects = control.ask("reveal")["effects"]
+    if as_json:
+        print_json({"effects": effects})
+    elif not effects:
+        click.echo("nothing is hidden: this is a clean world")
+    for effect in effects if not as_json else ():
+        values = ", ".join(f"{name} {value}" for name, value in effect["parameters"].items())
+        click.echo(f"{effect['name']} ({effect['stage']}): {values}; d′ {effect['d_prime']:.1f}")

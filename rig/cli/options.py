@@ -1,0 +1,57 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def bench_option(command: F) -> F:
+    """Which bench: `--bench`, RIG_BENCH, ./bench.yaml if there is one, else the simulated bench."""
+    return click.option(
+        "--bench",
+        "bench",
+        type=click.Path(dir_okay=False, path_type=Path),
+        envvar="RIG_BENCH",
+        help="Bench file [default: ./bench.yaml if it exists, else the simulated bench].",
+    )(command)
+
+
+def runs_option(command: F) -> F:
+    """Where runs are kept."""
+    return click.option(
+        "--runs",
+        "runs",
+        type=click.Path(file_okay=False, path_type=Path),
+        envvar="RIG_RUNS",
+        default=Path("runs"),
+        show_default=True,
+        help="Folder of the runs (or RIG_RUNS).",
+    )(command)
+
+
+def json_option(command: F) -> F:
+    """One JSON object on stdout instead of text."""
+    return click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")(command)
+
+
+def bench_path(given: Path | None) -> Path:
+    """The bench file that the options mean."""
+    from rig.config import shipped
+
+    if given is not None:
+        return given
+    here = Path("bench.yaml")
+    return here if here.exists() else shipped("benches/simulated.yaml")
+
+
+def print_json(value: object) -> None:
+    """One JSON object on stdout."""
+    click.echo(json.dumps(value, ensure_ascii=False, indent=2 if os.isatty(1) else None))

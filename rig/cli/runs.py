@@ -1,0 +1,72 @@
+"""Commands about runs that exist: runs, show, verify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.cli.options import json_option, print_json, runs_option
+
+
+@click.command(short_help="List the runs.")
+@runs_option
+@json_option
+def runs(runs: Path, as_json: bool) -> None:
+    """List the runs, oldest first."""
+    from rig.archive import Runs
+
+    rows = [run.summary() for run in Runs(runs).list()]
+    if as_json:
+        print_json(rows)
+        return
+    if not rows:
+        click.echo(f"no runs in {runs} yet; next: rig sweep --axis x")
+        return
+    width = max(len(row["run"]) for row in rows)
+    for row in rows:
+        mark = "  SIMULATED" if row["simulated"] else ""
+        click.echo(f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}")
+    click.echo("next: rig show last")
+
+
+@click.command(short_help="Show one run.")
+@click.argument("name", metavar="RUN", default="last")
+@runs_option
+@json_option
+def show(name: str, runs: Path, as_json: bool) -> None:
+    """Show one run: what it is, how far it came, and what was measured. `last` is the newest."""
+    from rig.archive import Runs
+    from rig.cli import outcome
+
+    run = Runs(runs).open(name)
+    if as_json:
+        print_json(run.summary())
+    else:
+        click.echo(outcome.run_as_text(run))
+
+
+@click.command(short_help="Check a run's digests, from the journal to the last block.")
+@click.argument("name", metavar="RUN", default="last")
+@runs_option
+@json_option
+def verify(name: str, runs: Path, as_json: bool) -> None:
+    """Check every digest of a run; exit code 1 if anything does not agree."""
+    from rig.archive import Runs
+    from rig.errors import ArchiveError
+
+    run = Runs(runs).open(name)
+    problems = run.verify()
+    if as_json:
+        print_json({"run": run.name, "status": run.status, "sound": not problems, "problems": problems})
+    elif not problems:
+        click.echo(f"{run.name}: sound ({run.status}; {_counted(run)})")
+        click.echo(f"next: rig {'resume' if run.status == 'interrupted' else 'show'} {run.name}")
+    if problems:
+        raise ArchiveError(f"{run.name}: " + "; ".join(problems))
+
+
+def _counted(run: Any) -> str:
+    blocks = run.blocks()
+    return f"{sum(1 for _ in run.lines())} journal lines, {sum(len(parts) for parts in blocks.values())} blocks"

@@ -1,0 +1,196 @@
+"""A first look at a run: plain estimates and one figure, with no uncertainty yet.
+
+Sine points are fitted with the three-parameter sine approximation (IEEE 1057; ISO 16063-11), the sensor's own sampling
+instants and the vibrometer's; a = jωv. Rates come from whole revolutions of the encoder. Calibration proper, with
+uncertainty, is another program part; these numbers say that the record is worth analysing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import tone
+from rig.record import Channel, CubeSamples, Samples, Timing
+from rig.run_reader import Run
+
+STANDARD_GRAVITY = 9.80665
+LOW = 50.0  # Hz; below it a 400 Hz output filter takes less than 0.8 % of the amplitude
+
+
+@dataclass(frozen=True)
+class SinePoint:
+    """One channel at one sine point: complex response, V/(m/s²), at `frequency` (Hz), `level` by name."""
+
+    channel: str
+    axis: str
+    frequency: float
+    level: str
+    response: complex
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a channel, its plain sensitivity (SI), and where that comes from."""
+
+    channel: str
+    sensitivity: float
+    unit: str
+    basis: str
+
+
+def samples_of(run: Run, name: str) -> Samples:
+    """The record behind a block name, as Samples; pieces of a long record are joined. KeyError if there is none."""
+    parts = run.blocks()[name]
+    meta = parts[0].meta
+    channels = tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"])
+    return Samples(
+        counts=run.block(name),
+        channels=channels,
+        timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
+        start=float(meta["start"]),
+        first_scan=int(meta["first_scan"]),
+        flags=frozenset(meta["flags"]),
+    )
+
+
+def sine_points(run: Run) -> list[SinePoint]:
+    """Response of every accelerometer channel at every sine point that the converter recorded."""
+    found: list[SinePoint] = []
+    sensors = run.header["sensor"]["channels"]
+    for body in run.points().values():
+        if "frequency" not in body or "samples" not in body:
+            continue
+        samples = samples_of(run, body["samples"])
+        for name, sensor in sensors.items():
+            if sensor["quantity"] == "acceleration" and any(c.name == name for c in samples.channels):
+                found.append(_sine_point(samples, body, name))
+    return found
+
+
+def _sine_point(samples: Samples, body: Mapping[str, Any], name: str) -> SinePoint:
+    frequency = float(body["frequency"])
+    reference = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), frequency)
+    sensor = tone.fit_three(samples.instants(name), samples.volts(name), frequency)
+    acceleration = 2j * math.pi * frequency * reference.amplitude * float(body["scale"])
+    return SinePoint(name, str(body["axis"]), frequency, str(body["level"]), complex(sensor.amplitude / acceleration))
+
+
+def sweep_rows(run: Run, points: list[SinePoint]) -> list[Row]:
+    """Plain sensitivity of the driven channels: mean magnitude up to 50 Hz, or at the lowest frequency there is."""
+    rows = []
+    sensors = run.header["sensor"]["channels"]
+    for axis in sorted({point.axis for point in points}):
+        for name, sensor in sensors.items():
+            mine = [p for p in points if p.channel == name and p.axis == axis and sensor["axis"] == axis]
+            if not mine:
+                continue
+            top = max(LOW, min(p.frequency for p in mine))
+            low = [abs(p.response) for p in mine if p.frequency <= top]
+            basis = f"mean of {len(low)} points up to {top:g} Hz"
+            rows.append(Row(name, float(np.mean(low)), "V/(m/s²)", basis))
+    return rows
+
+
+def static_means(run: Run) -> Iterator[tuple[Mapping[str, Any], dict[str, float], dict[str, float]]]:
+    """For every static record: its journal body, the mean and the standard deviation of each channel, V."""
+    for entry in run.lines():
+        if entry.kind in ("point", "step") and "purpose" in entry.body and "samples" in entry.body:
+            samples = samples_of(run, entry.body["samples"])
+            names = [channel.name for channel in samples.channels]
+            means = {name: float(samples.volts(name).mean()) for name in names}
+            yield entry.body, means, {name: float(samples.volts(name).std()) for name in names}
+
+
+def turntable_rows(run: Run) -> list[Row]:
+    """Plain gyro sensitivity: (mean volts turning − mean volts at rest) ÷ whole-revolution mean rate of the encoder."""
+    rest = {name: value for _, means, _ in static_means(run) for name, value in means.items()}
+    rows = []
+    for body in run.points().values():
+        if body.get("phase") != "hold" or not rest:
+            continue
+        samples = samples_of(run, body["samples"])
+        for name in (f"gyro_{body['gyro_axis']}", f"backup_{body['gyro_axis']}"):
+            inside = _between(samples, name, body["first_index"], body["last_index"])
+            sensitivity = (float(inside.mean()) - rest[name]) / float(body["rate"])
+            where = f"{abs(float(body['rate'])) * 180 / math.pi:.2f} °/s, {body['revolutions']} revolutions"
+            rows.append(Row(name, sensitivity, "V/(rad/s)", where))
+    return rows
+
+
+def _between(samples: Samples, name: str, first: float, last: float) -> NDArray[np.float64]:
+    instants = samples.instants(name)
+    return samples.volts(name)[(instants >= first) & (instants < last)]
+
+
+def tumble_rows(run: Run) -> list[Row]:
+    """Plain accelerometer sensitivity against gravity: least squares of volts on the component of "up", with offset."""
+    poses = [(body, means) for body, means, _ in static_means(run) if body["purpose"] == "pose"]
+    ups = _pose_directions(run)
+    if len(poses) < 6 or len(ups) != len(poses):
+        return []
+    gravity = gravity_of(run)
+    rows = []
+    for name, sensor in run.header["sensor"]["channels"].items():
+        if sensor["quantity"] != "acceleration" or name not in poses[0][1]:
+            continue
+        component = np.array([up["xyz".index(sensor["axis"])] for up in ups]) * gravity
+        volts = np.array([means[name] for _, means in poses])
+        slope = np.polyfit(component, volts, 1)[0]
+        rows.append(Row(name, float(slope), "V/(m/s²)", f"{len(poses)} poses against gravity"))
+    return rows
+
+
+def _pose_directions(run: Run) -> list[tuple[float, float, float]]:
+    asked = [e.body["settings"] for e in run.lines() if e.kind == "confirmed" and e.body["action"] == "pose"]
+    return [(float(s["up_x"]), float(s["up_y"]), float(s["up_z"])) for s in asked]
+
+
+def gravity_of(run: Run) -> float:
+    """Local gravity from the run's standards, m/s²; standard gravity if the bench has no such standard."""
+    from rig import units
+
+    for standard in run.header["standards"]:
+        if standard["standard"] == "gravity":
+            return units.parse(standard["values"]["gravity"]["value"], "acceleration")
+    return STANDARD_GRAVITY
+
+
+def noise_rows(run: Run) -> list[Row]:
+    """Standard deviation of each channel at rest, V."""
+    return [
+        Row(name, deviation, "V rms", f"{body['seconds']:g} s at rest")
+        for body, _, deviations in static_means(run)
+        if body["purpose"] == "noise"
+        for name, deviation in deviations.items()
+        if name in run.header["sensor"]["channels"]
+    ]
+
+
+def rows_of(run: Run) -> list[Row]:
+    """The table of a run, whatever kinds of measurement are in it."""
+    return [*sweep_rows(run, sine_points(run)), *turntable_rows(run), *tumble_rows(run), *noise_rows(run)]
+
+
+def cube_of(run: Run, name: str) -> CubeSamples:
+    """The Sensor Cube's own frames behind a block name."""
+    meta = run.blocks()[name][0].meta
+    frames = run.block(f"{name}-frames")
+    return CubeSamples(
+        names=tuple(meta["names"]),
+        counts=run.block(name),
+        sequence=frames[:, 0],
+        device_us=frames[:, 1],
+        flags=frames[:, 2].astype(np.uint16),
+        supply=frames[:, 3].astype(np.uint16),
+        temperature=frames[:, 4].astype(np.uint16),
+        gaps=int(meta["gaps"]),
+        bad_frames=int(meta["bad_frames"]),
+        rate=float(meta["rate"]),
+        start=float(meta["start"]),
+    )

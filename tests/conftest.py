@@ -1,0 +1,32 @@
+"""What tests share: one served bench with the clean world, and a way to have a bench of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.bench import control
+
+CLEAN = Path(__file__).parents[1] / "configs" / "worlds" / "clean.yaml"
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[control.Addresses]:
+    """Addresses of a served bench with the clean world, seed 1. Tests share its world: leave it as you found it."""
+    state = tmp_path_factory.mktemp("bench")
+    yield control.ensure_served(CLEAN, 1, state, idle=120.0)
+    control.stop(state)
+
+
+@pytest.fixture
+def own_bench(tmp_path: Path) -> Iterator[Callable[..., control.Addresses]]:
+    """Serves a bench that a test has to itself, with the clean world unless told otherwise; stops it afterwards."""
+    state = tmp_path / "bench"
+
+    def serve(world: Path = CLEAN, seed: int = 1, idle: float = 120.0) -> control.Addresses:
+        return control.ensure_served(world, seed, state, idle=idle)
+
+    yield serve
+    control.stop(state)

@@ -1,0 +1,236 @@
+"""The guard leaves the bench at rest, whatever becomes of the program.
+
+The instrument is a stand-in behind a real socket; its driver is installed the way a user's own would be, as an entry
+point of the group `rig.drivers`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.bench.guard import Charge, Guard, load_driver
+from rig.errors import WorkFailed
+
+DRIVER = '''
+"""A source with two commands, on a socket."""
+import socket
+from pydantic import BaseModel, ConfigDict
+
+class Settings(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    port: int
+
+class Source:
+    def __init__(self, link):
+        self.link = link
+    def make_safe(self):
+        self.link.sendall(b"OUTP OFF\\n")
+        if self.link.recv(16) != b"0\\n":
+            raise ConnectionError("wanted 0")
+    def close(self):
+        self.link.close()
+
+def connect(name, settings, room):
+    return Source(socket.create_connection(("127.0.0.1", settings.port)))
+'''
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from rig.bench.guard import Charge, Guard
+with Guard.start() as guard:
+    guard.arm([Charge("standin", "source", {"port": int(sys.argv[1])})], within=60.0, log=Path(sys.argv[2]))
+    print(guard.pid, flush=True)
+    sys.stdin.read()
+"""
+
+
+class Instrument:
+    """The stand-in's end of the wire. The kernel takes connections; `answer` looks at the next one."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.settimeout(20)
+        self.port = self._server.getsockname()[1]
+
+    def answer(self, reply: bytes | None = b"0\n") -> float:
+        """Take one connection and its message; returns when the message was there (monotonic clock, s)."""
+        link, _ = self._server.accept()
+        with link:
+            link.settimeout(20)
+            assert link.recv(64) == b"OUTP OFF\n"
+            arrived = time.monotonic()
+            if reply is None:
+                assert link.recv(1) == b""  # the other end is killed while it waits for ever
+            else:
+                link.sendall(reply)
+        return arrived
+
+    def untouched(self) -> bool:
+        self._server.setblocking(False)
+        try:
+            self._server.accept()
+        except BlockingIOError:
+            return True
+        return False
+
+    def close(self) -> None:
+        self._server.close()
+
+
+@pytest.fixture
+def instrument() -> Iterator[Instrument]:
+    stand_in = Instrument()
+    yield stand_in
+    stand_in.close()
+
+
+@pytest.fixture(autouse=True)
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A distribution that offers the driver `standin`."""
+    metadata = tmp_path / "site" / "standin-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: standin\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[rig.drivers]\nstandin = standin_driver\n")
+    (tmp_path / "site" / "standin_driver.py").write_text(DRIVER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+
+
+def charge(instrument: Instrument, name: str = "source") -> Charge:
+    return Charge("standin", name, {"port": instrument.port})
+
+
+def events(log: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in log.read_text().splitlines()]
+
+
+def named(log: Path) -> list[str]:
+    return [entry["event"] for entry in events(log)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_source_is_off_within_a_tenth_of_a_second_after_the_program_is_killed(
+    number: signal.Signals, instrument: Instrument, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-c", PROGRAM, str(instrument.port), str(tmp_path / "guard.jsonl")]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, **pipes) as program:  # type: ignore[call-overload]
+        program.stdout.readline()
+        killed = time.monotonic()
+        program.send_signal(number)
+        assert instrument.answer() - killed < 0.1
+        program.stdin.close()
+        program.wait()
+    assert named(tmp_path / "guard.jsonl")[:2] == ["armed", "acting"]
+
+
+def test_an_overdue_heartbeat_makes_the_guard_act_and_the_program_is_told(
+    instrument: Instrument, tmp_path: Path
+) -> None:
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], within=10.0, log=tmp_path / "guard.jsonl")
+        guard.beat(within=0.0)
+        instrument.answer()
+        with pytest.raises(WorkFailed, match="guard"):
+            guard.disarm()
+    assert named(tmp_path / "guard.jsonl") == ["armed", "acting", "made safe", "done"]
+    assert events(tmp_path / "guard.jsonl")[1]["because"] == "a heartbeat is overdue"
+
+
+def test_a_guard_that_was_disarmed_leaves_the_instrument_alone(instrument: Instrument, tmp_path: Path) -> None:
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], within=10.0, log=tmp_path / "guard.jsonl")
+        guard.beat(within=5.0)
+        guard.disarm()
+    assert instrument.untouched()
+    assert named(tmp_path / "guard.jsonl") == ["armed", "disarmed"]
+
+
+def test_leaving_the_block_by_an_error_lets_the_guard_act(instrument: Instrument, tmp_path: Path) -> None:
+    guard = Guard.start()
+    guard.arm([charge(instrument)], within=10.0, log=tmp_path / "guard.jsonl")
+    guard._process.stdin.close()  # type: ignore[union-attr]  # what leaving the block does first
+    instrument.answer()
+    with pytest.raises(ZeroDivisionError), guard:
+        raise ZeroDivisionError
+    assert named(tmp_path / "guard.jsonl")[-1] == "done"
+
+
+def test_a_failed_attempt_is_repeated(instrument: Instrument, tmp_path: Path) -> None:
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], within=0.0, log=tmp_path / "guard.jsonl")
+        instrument.answer(b"what?\n")
+        instrument.answer()
+    assert named(tmp_path / "guard.jsonl") == ["armed", "acting", "attempt failed", "made safe", "done"]
+
+
+@pytest.mark.slow
+def test_an_instrument_that_hangs_does_not_keep_another_from_its_safe_state(
+    instrument: Instrument, tmp_path: Path
+) -> None:
+    deaf = Instrument()
+    with Guard.start() as guard:
+        guard.arm([charge(deaf, "deaf"), charge(instrument)], within=0.0, log=tmp_path / "guard.jsonl")
+        deaf.answer(None)
+        instrument.answer()
+        deaf.answer()
+    deaf.close()
+    assert named(tmp_path / "guard.jsonl") == ["armed", "acting", "attempt hung", "made safe", "made safe", "done"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_no_signal_ends_the_guard_before_it_has_acted(
+    number: signal.Signals, instrument: Instrument, tmp_path: Path
+) -> None:
+    guard = Guard.start()
+    guard.arm([charge(instrument)], within=10.0, log=tmp_path / "guard.jsonl")
+    os.kill(guard.pid, number)
+    guard.beat(within=0.0)
+    instrument.answer()
+    guard.__exit__(None, None, None)
+    assert named(tmp_path / "guard.jsonl")[-1] == "done"
+
+
+def test_a_log_that_cannot_be_written_does_not_keep_the_guard_from_acting(
+    instrument: Instrument, tmp_path: Path
+) -> None:
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], within=0.0, log=tmp_path / "no such folder" / "guard.jsonl")
+        instrument.answer()
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        Charge("no_such_driver", "source", {}),
+        Charge("os.path", "source", {}),
+        Charge("standin", "source", {"port": "nonsense"}),
+        Charge("standin", "source", {"port": 1, "colour": "red"}),
+    ],
+    ids=["no driver", "not a plain name", "a bad setting", "an unknown setting"],
+)
+def test_what_the_guard_cannot_act_on_is_refused_before_anything_is_energised(order: Charge, tmp_path: Path) -> None:
+    with Guard.start() as guard, pytest.raises(WorkFailed, match="nothing may be energised"):
+        guard.arm([order], within=10.0, log=tmp_path / "guard.jsonl")
+
+
+def test_a_guard_that_was_never_armed_just_goes() -> None:
+    with Guard.start() as guard:
+        pass
+    assert guard._process.returncode == 0
+
+
+def test_a_driver_is_never_loaded_by_a_dotted_path() -> None:
+    with pytest.raises(ImportError, match="plain name"):
+        load_driver("os.path")

@@ -358,19 +358,17 @@ class Comedi:
             wanted = "configure first" if self._timing is None else f"at least one scan, found {scans}"
             raise self._board.error(SettingRefused, None, None, wanted)
         self.stop()
-        # One scan more than will be handed out: its tag proves that the last one did not slip.
-        self._board.start(0 if scans is None else scans + 1)
-        self._running, self._odd = True, b""
         one = self._settings
         column = [channel.name for channel in self._channels].index(one.tag)
+        tag = Tag(column, one.tag_voltage, one.tag_tolerance, one.tag_step)
+        # One scan more than will be handed out: its tag proves that the last one did not slip.
+        self._board.start(0 if scans is None else scans + 1)
+        start, begun = self._room.clock.now(), self._monotonic_ns()
+        self._running, self._odd = True, b""
         self._record = Record(
-            self._channels,
-            self._timing,
-            Tag(column, one.tag_voltage, one.tag_tolerance, one.tag_step),
-            scans=scans,
-            start=self._room.clock.now(),
-            pacer_tolerance=one.clock_tolerance,
+            self._channels, self._timing, tag, scans=scans, start=start, pacer_tolerance=one.clock_tolerance
         )
+        self._record.begin(begun)
 
     def read(self, scans: int) -> Samples:
         """The next `scans` scans; fewer, with the flag "last", when the record ends there.

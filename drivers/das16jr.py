@@ -181,7 +181,9 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    address: str = Field(pattern=r".+:\d{1,5}$", description="host:port of the DAQ service's control connection")
+    address: str = Field(
+        pattern=r".+:\d{1,5}$|^.+:\$\{\w+\}$", description="host:port of the DAQ service's control connection"
+    )
     tag: str = Field(default="tag", description="name of the channel that carries the tag voltage")
     tag_voltage: Voltage = Field(default=2.5, description="what the tag channel must read")
     tag_tolerance: Voltage = Field(default=0.05, gt=0)
@@ -445,12 +447,19 @@ class Das16jr:
         return self._record
 
     def _open_data(self) -> None:
+        """Raises Disconnected if there is no data connection to be had."""
         if self._data is not None and self._dead():
             self._drop_data()
-        if self._data is None:
-            self._data = self._control.dial(self._control.integers("DATA?", 1)[0])
-            self._data.setblocking(False)
-            self._parser = FrameParser()
+        if self._data is not None:
+            return
+        self._data = self._control.dial(self._control.integers("DATA?", 1)[0])
+        self._data.setblocking(False)
+        self._parser = FrameParser()
+        # The first frame, a heartbeat, says that the service has taken the connection; INIT may then refer to it.
+        self._ready(self._settings.timeout)
+        if self._dead():
+            self._drop_data()
+            raise self._control.error(Disconnected, "DATA?", None, "a data connection that is not another client's")
 
     def _dead(self) -> bool:
         """Whether the data connection was closed, or damaged, since the last record; throws away what waits in it."""
@@ -503,6 +512,7 @@ class Das16jr:
         record = self._running()
         if frame.kind == METADATA:
             self._keep_metadata(frame)
+            record.begin(frame.taken_ns)
             return
         if frame.index != record.received and record.failure is None:
             missing = f"conversion {frame.index} after {record.received}"

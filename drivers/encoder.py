@@ -20,8 +20,8 @@ Everything works chunk by chunk: `Decoder.feed` gives what is new.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,9 @@ from rig.units import Voltage
 
 LINES = 1000
 """Lines per revolution."""
+
+WHOLE = (LINES, 2 * LINES)
+"""Counts between two index pulses that are a revolution, and two with an index missed."""
 
 VOTES = 16
 """Lines before and after a line whose A and B are looked at to tell its direction."""
@@ -131,7 +134,7 @@ def edges(
 
 
 def middles(rising: NDArray[np.float64], falling: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Middle of every complete high pulse, s: each rising edge with the next falling one, if it comes before another."""
+    """Middle of every complete high pulse, s: each rising edge with the falling edge that follows it."""
     if not len(rising) or not len(falling):
         return np.empty(0)
     after = np.searchsorted(falling, rising, side="right")
@@ -148,40 +151,127 @@ def quadrature(
     """
     if not len(b_middles):
         return np.full(len(a_middles), np.nan)
-    place = np.clip(np.searchsorted(b_middles, a_middles), 1, len(b_middles) - 1) if len(b_middles) > 1 else None
-    if place is None:
-        delay = b_middles[0] - a_middles
-    else:
-        before, after = b_middles[place - 1] - a_middles, b_middles[place] - a_middles
-        delay = np.where(np.abs(before) < np.abs(after), before, after)
-    sine = np.sin(2.0 * np.pi * delay / periods)
-    return np.where(np.abs(delay) < periods, sine, np.nan)
+    place = np.searchsorted(b_middles, a_middles)
+    before = b_middles[np.maximum(place - 1, 0)] - a_middles
+    after = b_middles[np.minimum(place, len(b_middles) - 1)] - a_middles
+    delay = np.where(np.abs(before) < np.abs(after), before, after)
+    return np.where(np.abs(delay) < periods, np.sin(2.0 * np.pi * delay / periods), np.nan)
 
 
-@dataclass
-class _Tail:
-    """What is remembered of the stretch before a chunk."""
+class Directions:
+    """Tells which way the lines went, from the middles of A's and B's pulses; remembers the last few."""
 
-    a_rising: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    a_falling: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    b_rising: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    b_falling: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    def __init__(self) -> None:
+        self._a = Pulses(np.empty(0), np.empty(0), 0)
+        self._b = Pulses(np.empty(0), np.empty(0), 0)
 
-    def extend(self, a: Pulses, b: Pulses) -> None:
-        self.a_rising = np.concatenate([self.a_rising, a.rising])
-        self.a_falling = np.concatenate([self.a_falling, a.falling])
-        self.b_rising = np.concatenate([self.b_rising, b.rising])
-        self.b_falling = np.concatenate([self.b_falling, b.falling])
+    def feed(self, a: Pulses, b: Pulses) -> NDArray[np.int8]:
+        """+1 where A leads, −1 where B leads, 0 where it cannot be told; one for each new rising edge of A."""
+        new = len(a.rising)
+        self._a, self._b = _joined(self._a, a), _joined(self._b, b)
+        if not new:
+            return np.empty(0, np.int8)
+        sines = self._sines()
+        votes = np.convolve(np.nan_to_num(sines), np.ones(2 * VOTES + 1))[VOTES : VOTES + len(sines)]
+        self._forget()
+        return np.sign(votes).astype(np.int8)[len(votes) - new :]
 
-    def forget(self, lines: int) -> None:
-        """Keep only so many of the last lines, and what belongs to them."""
-        if len(self.a_rising) <= lines:
-            return
-        self.a_rising = self.a_rising[-lines:]
-        since = self.a_rising[0] - (self.a_rising[1] - self.a_rising[0] if lines > 1 else 0.0)
-        self.a_falling = self.a_falling[self.a_falling > since]
-        self.b_rising = self.b_rising[self.b_rising > since]
-        self.b_falling = self.b_falling[self.b_falling > since]
+    def _sines(self) -> NDArray[np.float64]:
+        """See `quadrature`; one for each rising edge of A, NaN where the pulse is not complete."""
+        sines = np.full(len(self._a.rising), np.nan)
+        if len(sines) >= 2:
+            periods = np.diff(self._a.rising)
+            whole = middles(self._a.rising, self._a.falling)
+            periods = np.append(periods, periods[-1])[: len(whole)]
+            sines[: len(whole)] = quadrature(whole, middles(self._b.rising, self._b.falling), periods)
+        return sines
+
+    def _forget(self) -> None:
+        """Keep the last lines, and of B what belongs to them."""
+        if len(self._a.rising) > 2 * VOTES:
+            since = float(self._a.rising[-2 * VOTES - 1])
+            self._a, self._b = (_later(one, since) for one in (self._a, self._b))
+
+
+def _joined(one: Pulses, other: Pulses) -> Pulses:
+    return Pulses(
+        np.concatenate([one.rising, other.rising]), np.concatenate([one.falling, other.falling]), other.between
+    )
+
+
+def _later(pulses: Pulses, since: float) -> Pulses:
+    return Pulses(pulses.rising[pulses.rising > since], pulses.falling[pulses.falling > since], pulses.between)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An index pulse between line `line` and the next; `count` lines after the last pulse (None: it is the first).
+
+    `time` (s) is half a line before the line after it, `ends` the revolutions that it closes: begin and end, s.
+    """
+
+    line: int
+    count: int | None
+    time: float
+    ends: tuple[tuple[float, float], ...]
+
+
+class IndexCount:
+    """Places index pulses between lines, and closes revolutions."""
+
+    def __init__(self) -> None:
+        self._edges: NDArray[np.float64] = np.empty(0)
+        self._seen = 0  # edges so far, the forgotten ones included
+        self._pulses = Pulses(np.empty(0), np.empty(0), 0)
+        self._last: tuple[int, float] | None = None  # the line before the last pulse, and the pulse's place
+
+    def feed(self, edges: NDArray[np.float64], index: Pulses, *, final: bool) -> list[Placed]:
+        """The pulses that can be placed now: those with enough lines after them; with `final` one is enough."""
+        self._edges = np.concatenate([self._edges, edges])
+        self._seen += len(edges)
+        self._pulses = _joined(self._pulses, index)
+        found: list[Placed] = []
+        for pulse in middles(self._pulses.rising, self._pulses.falling).tolist():
+            at = int(np.searchsorted(self._edges, pulse))
+            if len(self._edges) - at < (1 if final else NEIGHBOURS):
+                break
+            if len(self._edges) >= 2:
+                found.append(self._placed(pulse, at))
+            self._pulses = _later(self._pulses, pulse)
+        self._forget()
+        return found
+
+    def _placed(self, pulse: float, at: int) -> Placed:
+        """One pulse, which comes before edge `at` of those that are kept."""
+        first = max(at - NEIGHBOURS, 0)
+        near = self._edges[first : at + NEIGHBOURS]
+        offset = self._seen - len(self._edges)
+        # A platter that spins up from rest turns with the square of time.
+        curve = np.polyfit(near - pulse, np.arange(len(near)), 2 if len(near) >= NEIGHBOURS else 1)
+        place = offset + first + float(curve[-1])
+        line, count = math.floor(place), None
+        if self._last is not None:
+            count = round(place - self._last[1])
+            line = self._last[0] + count
+        line = min(max(line, offset - 1), self._seen - 2)
+        ends = self._closed(line, count, offset) if count in WHOLE else ()
+        self._last = (line, place)
+        after = self._edges[line + 1 - offset]
+        return Placed(line, count, float(after - 0.5 / max(float(curve[-2]), 1e-9)), ends)
+
+    def _closed(self, line: int, count: int, offset: int) -> tuple[tuple[float, float], ...]:
+        """Begin and end of the one or two revolutions that end with the line after `line`."""
+        if line + 1 - count < offset:
+            return ()
+        bounds = [float(self._edges[line + 1 - offset - back]) for back in range(count, -1, -LINES)]
+        return tuple(pairwise(bounds))
+
+    def _forget(self) -> None:
+        """Keep the lines of two revolutions, and all that a pulse still waits for."""
+        keep = WHOLE[-1] + 2 * NEIGHBOURS
+        waiting = self._pulses.rising[0] if len(self._pulses.rising) else math.inf
+        keep += len(self._edges) - int(np.searchsorted(self._edges, waiting))
+        self._edges = self._edges[max(len(self._edges) - keep, 0) :]
 
 
 class Decoder:
@@ -189,111 +279,70 @@ class Decoder:
 
     def __init__(self, settings: Settings | None = None) -> None:
         self._settings = one = settings or Settings()
-        self._a, self._b, self._index = (Trigger(one.low, one.high) for _ in range(3))
-        self._tail = _Tail()
-        self._lines = 0  # rising edges of A so far
-        self._recent = np.empty(0)  # edges kept until no index pulse can need them
-        self._rising: NDArray[np.float64] = np.empty(0)  # of index pulses that have not been placed yet
-        self._falling: NDArray[np.float64] = np.empty(0)
-        self._last: tuple[int, float] | None = None  # line after the last index, and its time
-        self._next_scan: int | None = None
+        self._triggers = {name: Trigger(one.low, one.high) for name in (one.a, one.b, one.index)}
+        self._directions, self._index_count = Directions(), IndexCount()
+        self._lines, self._next_scan = 0, -1
 
-    def feed(self, samples: Samples) -> Lines:
-        """Lines and index pulses that this chunk completes.
+    def feed(self, samples: Samples, *, final: bool = False) -> Lines:
+        """Lines and index pulses that this chunk completes. `final`: no chunk follows, place what is near the end.
 
         Raises KeyError if a channel is missing, ValueError if the chunk does not follow the last one.
         """
-        return self._feed(samples, final=False)
-
-    def finish(self, samples: Samples) -> Lines:
-        """The same for the last chunk: index pulses near its end are placed with the lines there are."""
-        return self._feed(samples, final=True)
-
-    def _feed(self, samples: Samples, *, final: bool) -> Lines:
-        if self._next_scan is not None and samples.first_scan != self._next_scan:
-            raise ValueError(f"found a chunk from scan {samples.first_scan}, wanted {self._next_scan}")
+        if self._next_scan not in (-1, samples.first_scan):
+            raise ValueError(f"found a chunk from scan {samples.first_scan}, wanted one from {self._next_scan}")
         self._next_scan = samples.first_scan + len(samples.counts)
-        one = self._settings
         a, b, index = (
-            trigger.feed(samples.volts(name), samples.instants(name))
-            for trigger, name in ((self._a, one.a), (self._b, one.b), (self._index, one.index))
+            trigger.feed(samples.volts(name), samples.instants(name)) for name, trigger in self._triggers.items()
         )
-        first = self._lines
-        direction = self._directions(a, b)
-        self._lines += len(a.rising)
-        self._recent = np.concatenate([self._recent, a.rising])
-        self._rising = np.concatenate([self._rising, index.rising])
-        self._falling = np.concatenate([self._falling, index.falling])
-        found = self._place_pulses(final)
-        between = a.between + b.between + index.between
-        return self._closed(found, Lines(a.rising, direction, first, *_nothing(), between=between))
+        direction = self._directions.feed(a, b) * np.int8(self._settings.a_leads)
+        first, self._lines = self._lines, self._lines + len(a.rising)
+        placed = self._index_count.feed(a.rising, index, final=final)
+        counts = tuple(one.count for one in placed if one.count is not None)
+        return Lines(
+            edges=a.rising,
+            direction=direction,
+            first_line=first,
+            index=np.array([one.time for one in placed], np.float64),
+            index_line=np.array([one.line for one in placed], np.int64),
+            counts=counts,
+            missed=sum(count // LINES - 1 for count in counts if count in WHOLE),
+            flagged=tuple(count for count in counts if count not in WHOLE),
+            revolutions=np.array([ends for one in placed for ends in one.ends], np.float64).reshape(-1, 2),
+            between=a.between + b.between + index.between,
+        )
 
-    def _directions(self, a: Pulses, b: Pulses) -> NDArray[np.int8]:
-        """Direction of the new lines, judged with their neighbours."""
-        new = len(a.rising)
-        self._tail.extend(a, b)
-        tail = self._tail
-        sines = _sines(tail)
-        kernel = np.ones(2 * VOTES + 1)
-        known = np.isfinite(sines)
-        votes = np.convolve(np.where(known, sines, 0.0), kernel, "full")[VOTES : VOTES + len(sines)]
-        direction = (np.sign(votes) * self._settings.a_leads).astype(np.int8)[len(sines) - new :]
-        tail.forget(2 * VOTES)
-        return direction
 
-    def _place_pulses(self, final: bool) -> list[tuple[int, float, float]]:
-        """Index pulses that can be placed now: line before, times of that line and of the next."""
-        pulses = middles(self._rising, self._falling)
-        found = []
-        for pulse in pulses.tolist():
-            after = len(self._recent) - int(np.searchsorted(self._recent, pulse))
-            if after < NEIGHBOURS and not final:
-                break
-            place = self._place(pulse)
-            if place is not None:
-                found.append(place)
-            self._falling = self._falling[self._falling > pulse]
-            self._rising = self._rising[self._rising > pulse]
-        self._forget_edges()
-        return found
+def decode(samples: Samples, settings: Settings | None = None) -> Lines:
+    """A whole record at once. Raises KeyError if a channel is missing."""
+    return Decoder(settings).feed(samples, final=True)
 
-    def _place(self, pulse: float) -> tuple[int, float, float] | None:
-        """Between which lines a pulse lies, by the straight line through its neighbours; None at a record's edge."""
-        edges, offset = self._recent, self._lines - len(self._recent)
-        at = int(np.searchsorted(edges, pulse))
-        near = edges[max(at - NEIGHBOURS, 0) : at + NEIGHBOURS]
-        if len(near) < 2:
-            return None
-        numbers = np.arange(len(near)) + max(at - NEIGHBOURS, 0) + offset
-        slope = np.polyfit(near - pulse, numbers, 1)
-        phase = float(slope[1])
-        line = self._line_of(phase)
-        here, there = (self._time_of(number, edges, offset, pulse, slope) for number in (line, line + 1))
-        return line, here, there
 
-    def _line_of(self, phase: float) -> int:
-        """The line that the pulse follows. The first is taken as it comes; later ones by whole lines from it."""
-        if self._last is None:
-            self._phase = phase
-            return math.floor(phase)
-        line = self._last[0] - 1 + round(phase - self._phase)
-        # The pulse's place within its line is the same every time; follow it slowly, so that noise averages out.
-        self._phase = phase
-        return line
+class Encoder:
+    """The encoder as an instrument of the bench: it has no link of its own, only its place in the scan."""
 
-    def _time_of(
-        self, number: int, edges: NDArray[np.float64], offset: int, pulse: float, slope: NDArray[np.float64]
-    ) -> float:
-        if 0 <= number - offset < len(edges):
-            return float(edges[number - offset])
-        return pulse + (number - float(slope[1])) / float(slope[0])
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
 
-    def _forget_edges(self) -> None:
-        """Edges long before any pulse that is still to be placed are not needed."""
-        keep = 2 * NEIGHBOURS
-        if len(self._rising):
-            keep += len(self._recent) - int(np.searchsorted(self._recent, self._rising[0]))
-        self._recent = self._recent[max(len(self._recent) - keep, 0) :]
+    def identify(self) -> Identity:
+        """From the plate: there is nothing to ask."""
+        return Identity("Avago", "HEDS-9040 with 1000-line disk", self._settings.serial, "none")
 
-    def _closed(self, found: list[tuple[int, float, float]], lines: Lines) -> Lines:
-        raise NotImplementedError
+    def settings(self) -> dict[str, str | float | int | bool]:
+        """Channels, thresholds (V), lines per revolution and sense."""
+        return {**self._settings.model_dump(exclude={"serial"}), "lines": LINES}
+
+    def decoder(self) -> Decoder:
+        """For one record."""
+        return Decoder(self._settings)
+
+    def decode(self, samples: Samples) -> Lines:
+        """A whole record at once."""
+        return decode(samples, self._settings)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def connect(name: str, settings: Settings, room: Room) -> Encoder:
+    """Nothing is opened."""
+    return Encoder(settings)

@@ -198,6 +198,8 @@ class Gateway:
     stream: _Stream
     users: int = 0
     lost: bool = False
+    unsettled: set[str] = field(default_factory=set)
+    """Bus addresses whose last exchange broke off: a late reply may still come, and would look like another's."""
     lock: threading.RLock = field(default_factory=threading.RLock)
 
     @classmethod
@@ -269,7 +271,7 @@ def _stream_of(raw: Any, timeout: float) -> _Stream:
 
 def _escaped(message: bytes) -> bytes:
     """Data for the instrument, safe from the adapter: ESC before CR, LF, ESC and `+` (Prologix manual)."""
-    return re.sub(rb"([\r\n\x1b+])", rb"\x1b\1", message)
+    return re.sub(rb"([\r\n\x1b+])", b"\x1b\\1", message)
 
 
 def block_span(data: bytes | bytearray) -> tuple[int, int] | None:
@@ -320,7 +322,7 @@ class VisaLink:
         self.lock = gateway.lock if gateway else threading.RLock()
         self._resource, self._stream, self._room = resource, stream, room
         self._gateway, self._bus_address = gateway, bus_address
-        self._unsettled = False  # an exchange broke off: a late reply may still come
+        self._unsettled = False  # without a gateway: the last exchange broke off
         self._open = True
 
     @classmethod
@@ -444,8 +446,7 @@ class VisaLink:
             return  # somebody closed the resource manager that all of this process share
 
     def _send(self, text: str, *, reading: bool) -> None:
-        if self._unsettled:
-            self._settle(text)
+        self._settle()
         message = text.encode("latin-1")
         framed = message + b"\n"
         if self._gateway is not None:
@@ -504,8 +505,7 @@ class VisaLink:
 
     def _adapter_poll(self) -> int:
         command = f"++spoll {self._bus_address}"
-        if self._unsettled:
-            self._settle(command)
+        self._settle()
         self._transmit(command.encode(), f"{command}\n".encode())
         reply = self._line(command)
         self._note_received(reply)
@@ -528,23 +528,28 @@ class VisaLink:
             raise self._broken(BadReply, sent, reply, "a status byte")
         return int(reply)
 
-    def _settle(self, sent: str) -> None:
-        """After a broken exchange: clear the instrument, and wait out a late reply.
-
-        The adapter works through its commands in order, so nothing of the old exchange can come after its answer to a
-        question of our own.
-        """
-        self._unsettled = False
-        self.clear()
-        if self._gateway is None:
+    def _settle(self) -> None:
+        """After a broken exchange: clear the instrument concerned, and wait out a late reply."""
+        if self._unsettled:
+            self._unsettled = False
+            self.clear()
+        if self._gateway is None or not self._gateway.unsettled:
             return
-        self._transmit(b"++read_tmo_ms", b"++read_tmo_ms\n")
+        clears = "".join(f"++addr {address}\n++clr\n" for address in sorted(self._gateway.unsettled))
+        # The adapter works through its commands in order, so nothing of the old exchange can come after its answer to
+        # a question of our own.
+        self._transmit(b"device clear", f"{clears}++read_tmo_ms\n".encode())
+        self._await_own_answer()
+        self._gateway.unsettled.clear()
+        self._room.clock.sleep(CLEAR_PAUSE)
+
+    def _await_own_answer(self) -> None:
         tail, deadline = bytearray(), time.monotonic() + 1.5 * READ_TIMEOUT_MS / 1000
         while not re.search(rb"(^|\n)%d\r?\n$" % READ_TIMEOUT_MS, tail):
             try:
                 data = self._stream.receive(max(0.0, deadline - time.monotonic()))
             except _LineError as gone:
-                raise self._gone(sent, gone, bytes(tail)) from gone
+                raise self._gone("++read_tmo_ms", gone, bytes(tail)) from gone
             if not data:
                 raise self._broken(NoAnswer, "++read_tmo_ms", bytes(tail) or None, "an answer of the gateway itself")
             tail += data
@@ -557,7 +562,10 @@ class VisaLink:
     ) -> InstrumentError:
         if isinstance(received, bytes):
             self._note_received(received)
-        self._unsettled = True
+        if self._gateway is not None:
+            self._gateway.unsettled.add(self._bus_address)
+        else:
+            self._unsettled = True
         return kind(self.instrument, self.address, sent=sent, received=received, wanted=wanted)
 
     def _gone(self, sent: bytes | str, gone: _LineError, received: bytes = b"") -> Disconnected:
@@ -597,9 +605,10 @@ class SerialLink:
         """Open the line, 8N1 without flow control. Raises Disconnected."""
         import serial
 
+        failures: tuple[type[Exception], ...] = (OSError, ValueError, *_terminal_errors())
         try:
             port = serial.serial_for_url(address, baudrate=baud, timeout=0, write_timeout=timeout)
-        except (OSError, ValueError, *_terminal_errors()) as error:
+        except failures as error:
             raise Disconnected(instrument, address, wanted=f"a serial line ({error})") from error
         return cls(instrument, address, port, timeout=timeout, room=room)
 

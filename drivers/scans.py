@@ -31,7 +31,7 @@ LUMP = 0.05
 """The board's driver moves data on a timer of this period, s (das16 driver: HZ/20)."""
 
 LATENESS = 0.03
-"""Bench time allowed beyond a lump for data to be on their way, s."""
+"""Time allowed beyond a lump for data to be on their way, s."""
 
 PACER = 1e-4
 """The pacer's crystal may be slower than the bench's clock by this share (typical 50–100 ppm)."""
@@ -79,31 +79,28 @@ def refusal(rate: float, channels: Sequence[str], tag: str) -> str:
 
 
 class Pacer:
-    """Conversions against the clock of the machine that took them.
+    """Conversions against the clock of the machine that takes them, from the moment the run was started.
 
-    Times are those at which lumps were taken, so each end of the comparison may be late by a lump; `tolerance` is the
-    relative error allowed besides.
+    What has arrived is late by a lump at most and early never; `tolerance` is the relative error allowed besides.
     """
 
     def __init__(self, convert_period: float, tolerance: float) -> None:
         self._period, self._tolerance = convert_period, tolerance
-        self._first: tuple[int, int] | None = None
+        self._begun: tuple[int, int] | None = None
+
+    def begin(self, conversions: int, taken_ns: int) -> None:
+        """So many conversions had been made at this time. Only the first call counts."""
+        self._begun = self._begun or (conversions, taken_ns)
 
     def compare(self, conversions: int, taken_ns: int) -> float | None:
-        """How many times too fast the pacer runs, if that is not plausible; `conversions` so far, taken at this time.
-
-        None if it is plausible, or if too little has arrived to say.
-        """
-        if self._first is None:
-            self._first = (conversions, taken_ns)
-            return None
-        elapsed = (taken_ns - self._first[1]) * 1e-9
-        converted = max(conversions - self._first[0], 1) * self._period
-        if elapsed <= 0:
-            return None
-        factor = converted / elapsed
-        allowed = self._tolerance + 2.0 * LUMP / elapsed
-        return factor if max(factor, 1.0 / factor) - 1.0 > allowed else None
+        """How many times too fast the pacer runs, if that is not plausible; `conversions` taken at this time."""
+        self.begin(conversions, taken_ns)
+        assert self._begun is not None
+        elapsed = (taken_ns - self._begun[1]) * 1e-9
+        converted = (conversions - self._begun[0]) * self._period
+        fast = converted > elapsed * (1.0 + self._tolerance) + LATENESS
+        slow = converted < elapsed * (1.0 - self._tolerance) - LUMP - LATENESS
+        return converted / max(elapsed, 1e-3) if fast or slow else None
 
 
 class Record:
@@ -162,9 +159,15 @@ class Record:
         return self.scans is None or self.handed + self.available < self.scans
 
     def has(self, scans: int) -> bool:
-        """Whether `scans` more, or all that are still wanted, can be handed out."""
+        """Whether `scans` more, or all that are still wanted, can be handed out; never with a wrong pacer clock."""
+        if self.failure is not None and self.failure.state == "clock":
+            return False
         wanted = scans if self.scans is None else min(scans, self.scans - self.handed)
         return self.available >= wanted
+
+    def begin(self, taken_ns: int) -> None:
+        """The run was started at this time of the machine that the board is in."""
+        self._pacer.begin(0, taken_ns)
 
     def add(self, codes: NDArray[np.uint16], taken_ns: int) -> None:
         """Take in the next conversions, in order, that were taken from the board at `taken_ns` (machine's clock)."""

@@ -314,6 +314,16 @@ class Turntable:
             if self.verdict.state == "failed":
                 raise VerdictNotMet(f"{self._name} at {self._rpm:.4g} rpm: found {self.verdict.reason}")
 
+    def completed(
+        self, edges: NDArray[np.float64], index: NDArray[np.float64], direction: int
+    ) -> list[Revolution]:
+        """Whole revolutions between index pulses; see `revolutions`."""
+        return revolutions(edges, index, direction)
+
+    def at_rest(self, edges: NDArray[np.float64], now: float) -> bool:
+        """Whether the platter is at rest; `edges` and `now` in s on one time line from 0."""
+        return stopped(edges, now, rate=self._settings.rest)
+
     def require_rest(self, edges: NDArray[np.float64], now: float) -> None:
         """Raises VerdictNotMet unless the platter is at rest; `edges` and `now` in s on one time line from 0."""
         if not stopped(edges, now, rate=self._settings.rest):

@@ -1,7 +1,7 @@
 """The guard leaves the bench at rest, whatever becomes of the program.
 
 The instrument is a stand-in behind a real socket; its driver is installed the way a user's own would be, as an entry
-point of the group `rig.drivers`.
+point of the group `rig.drivers`. At the end the same is shown with the analyzer of the simulated bench.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rig.bench.control import Addresses, Control
 from rig.bench.guard import Charge, Guard, load_driver
 from rig.errors import WorkFailed
 
@@ -48,6 +49,7 @@ def connect(name, settings, room):
 PROGRAM = """
 import sys
 from pathlib import Path
+from rig.bench.control import Addresses, Control
 from rig.bench.guard import Charge, Guard
 with Guard.start() as guard:
     guard.arm([Charge("standin", "source", {"port": int(sys.argv[1])})], within=60.0, log=Path(sys.argv[2]))
@@ -234,3 +236,50 @@ def test_a_guard_that_was_never_armed_just_goes() -> None:
 def test_a_driver_is_never_loaded_by_a_dotted_path() -> None:
     with pytest.raises(ImportError, match="plain name"):
         load_driver("os.path")
+
+
+SWEEP = """
+import sys
+from importlib import import_module
+from pathlib import Path
+from rig.bench.control import BenchClock, BenchOperator, Control
+from rig.bench.control import Addresses, Control
+from rig.bench.guard import Charge, Guard
+from rig.room import Room
+driver = import_module("drivers.hp89410a")
+settings = {"address": "GPIB0::19::INSTR", "gateway": f"PRLGX-TCPIP0::127.0.0.1::{sys.argv[2]}::INTFC"}
+with Guard.start() as guard:
+    guard.arm([Charge("hp89410a", "analyzer", settings)], within=60.0, log=Path(sys.argv[3]))
+    control = Control(int(sys.argv[1]))
+    room = Room(BenchClock(control), BenchOperator(control))
+    analyzer = driver.connect("analyzer", driver.Settings(**settings), room)
+    analyzer.preset()
+    analyzer.set_sine(100.0, 0.5)
+    analyzer.output(True)
+    print("on", flush=True)
+    while True:
+        room.clock.sleep(0.1)
+        analyzer.errors()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_analyzer_on_the_bench_is_off_within_a_tenth_of_a_second_by_its_own_log(
+    number: signal.Signals, own_bench: Callable[..., Addresses], tmp_path: Path
+) -> None:
+    bench = own_bench()
+    command = [sys.executable, "-c", SWEEP, str(bench["control"]), str(bench["gpib"]), str(tmp_path / "guard.jsonl")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"on\n"
+        killed = time.monotonic()
+        program.send_signal(number)
+    with Control(int(bench["control"])) as link:
+        while not (off := switched_off(link.ask("log")["events"], killed)):
+            assert time.monotonic() < killed + 10
+    assert off[0] - killed < 0.1
+
+
+def switched_off(events: list[dict[str, Any]], since: float) -> list[float]:
+    """When the source was switched off, by the bench's log (monotonic clock, s)."""
+    return [one["wall"] for one in events if one["event"] == "source" and not one["on"] and one["wall"] > since]

@@ -1,0 +1,119 @@
+"""Figures of a run, as SVG files that a person would rather look at than the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig import first_look
+from rig.run_reader import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#1f5fa8", "backup": "#c2571a"}
+
+
+def draw(run: Run, folder: Path) -> list[Path]:
+    """Every figure that the run's records allow, written into `folder`; the paths."""
+    drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(run)) is not None]
+    if drawn:
+        folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, figure in drawn:
+        if run.header["simulated"]:
+            figure.text(0.995, 0.005, "SIMULATED", ha="right", va="bottom", color="#b00020", fontsize=9, weight="bold")
+        path = folder / f"{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+        paths.append(path)
+    return paths
+
+
+def _new(rows: int, height: float, title: str) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, height), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    figure.suptitle(title, fontsize=11)
+    for ax in axes:
+        ax.grid(True, which="both", color="#dddddd", linewidth=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def response(run: Run) -> Figure | None:
+    """Magnitude and phase of every driven channel against the vibrometer, over frequency."""
+    points = first_look.sine_points(run)
+    sensors = run.header["sensor"]["channels"]
+    driven = [point for point in points if sensors[point.channel]["axis"] == point.axis]
+    if not driven:
+        return None
+    figure, (magnitude, phase) = _new(2, 6.0, f"{run.header['title']}: response, no uncertainty yet")
+    for channel in sorted({point.channel for point in driven}):
+        for level, marker in (("full", "o"), ("quarter", "x"), ("half", "s"), ("eighth", "+")):
+            mine = sorted((p for p in driven if p.channel == channel and p.level == level), key=lambda p: p.frequency)
+            if not mine:
+                continue
+            frequency = [p.frequency for p in mine]
+            nominal = abs(np.mean([abs(p.response) for p in mine[:3]]))
+            style = {"color": COLOURS[channel[:6]], "marker": marker, "markersize": 4, "linewidth": 0.9}
+            label = f"{channel} {level}"
+            magnitude.plot(frequency, [abs(p.response) / nominal for p in mine], label=label, **style)
+            phase.plot(frequency, [np.degrees(np.angle(p.response)) for p in mine], **style)
+    magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest frequencies")
+    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz")
+    magnitude.legend(fontsize=8, ncols=3, frameon=False)
+    return figure
+
+
+def rotation(run: Run) -> Figure | None:
+    """Gyro volts over a turntable run, phase by phase."""
+    bodies = [body for body in run.points().values() if "phase" in body]
+    if not bodies:
+        return None
+    axis = bodies[0]["gyro_axis"]
+    figure, axes = _new(2, 5.5, f"{run.header['title']}: raw output of the gyros")
+    for ax, name in zip(axes, (f"gyro_{axis}", f"backup_{axis}"), strict=True):
+        for body in bodies:
+            samples = first_look.samples_of(run, body["samples"])
+            seconds, volts = _thinned(samples.instants(name) + samples.start, samples.volts(name))
+            ax.plot((seconds - run.header["started"]), volts, linewidth=0.7, color=COLOURS[name.split("_")[0]])
+        ax.set_ylabel(f"{name} / V")
+    axes[-1].set_xlabel("bench time since the run began / s")
+    return figure
+
+
+def density(run: Run) -> Figure | None:
+    """Noise density of the sensors at rest."""
+    from scipy.signal import welch
+
+    bodies = [e.body for e in run.lines() if e.kind == "point" and e.body.get("purpose") == "noise"]
+    if not bodies:
+        return None
+    figure, (ax,) = _new(1, 4.5, f"{run.header['title']}: noise density at the converter")
+    samples = first_look.samples_of(run, bodies[0]["samples"])
+    rate = samples.timing.scan_rate
+    for name, colour in (("unit_a_x", "unit_a"), ("unit_c_x", "unit_c"), ("gyro_yaw", "gyro"), ("backup_yaw", "backup")):
+        if any(channel.name == name for channel in samples.channels):
+            frequency, power = welch(samples.volts(name), rate, nperseg=min(len(samples.counts), 1 << 14))
+            ax.loglog(frequency[1:], np.sqrt(power[1:]) * 1e6, linewidth=0.9, label=name, color=COLOURS[colour])
+    ax.set(xlabel="frequency / Hz", ylabel="density / (µV/√Hz)")
+    ax.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _thinned(x: Any, y: Any, most: int = 4000) -> tuple[Any, Any]:
+    """Block means, so that a long record draws as what it is and the file stays small."""
+    step = max(1, len(x) // most)
+    whole = len(x) // step * step
+    return x[:whole].reshape(-1, step).mean(axis=1), y[:whole].reshape(-1, step).mean(axis=1)
+
+
+_FIGURES: dict[str, Callable[[Run], Figure | None]] = {
+    "response": response,
+    "rotation": rotation,
+    "noise": density,
+}

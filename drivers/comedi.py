@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers import scans as scanning
-from drivers.scans import Record, Tag
+from drivers.scans import Pacer, Record, Tag
 from rig.errors import AcquisitionFailed, InstrumentError, NoAnswer, SettingRefused, WrongIdentity
 from rig.record import Channel, Identity, Samples, Timing
 from rig.room import Room
@@ -340,7 +340,9 @@ class Comedi:
     def configure(self, *, rate: float, channels: Sequence[str], gain: int = 0) -> Timing:
         """Channels 0…n−1 by name, scans per second (Hz), gain code; returns what the board really does.
 
-        Raises SettingRefused: before anything is asked of comedi if the tag is missing or the rate is out of range.
+        The board then converts for a moment (0.15 s), so that a wrong pacer clock shows before a record depends on it:
+        later, data are only taken when they are wanted. Raises AcquisitionFailed if it does; SettingRefused: before
+        anything is asked of comedi if the tag is missing or the rate is out of range.
         """
         wrong = scanning.refusal(rate, channels, self._settings.tag)
         if wrong:
@@ -350,6 +352,7 @@ class Comedi:
         convert_ns = self._board.set_up(0, len(channels) - 1, gain, round(1e9 / rate))
         self._channels = tuple(Channel(name, slot, low, high) for slot, name in enumerate(channels))
         self._timing = Timing(convert_ns * 1e-9, len(channels))
+        self._check_pacer(self._timing)
         return self._timing
 
     def start(self, scans: int | None) -> None:
@@ -413,6 +416,30 @@ class Comedi:
         """Close the device; a running command is cancelled by that."""
         self._board.close()
 
+    def _check_pacer(self, timing: Timing) -> None:
+        pacer = Pacer(timing.convert_period, self._settings.clock_tolerance)
+        self._board.start(0)
+        pacer.begin(0, self._monotonic_ns())
+        self._room.clock.sleep(3 * scanning.LUMP)
+        converted = self._drained() // 2
+        wrong = pacer.compare(converted, self._monotonic_ns())
+        self._board.cancel()
+        if wrong is not None:
+            raise self._board.error(AcquisitionFailed, "comedi_command", wrong.found, wrong.wanted)
+
+    def _drained(self) -> int:
+        """Bytes that the board has converted until now; they are thrown away."""
+        count = 0
+        while select.select([self._board.fileno()], [], [], 0.0)[0]:
+            try:
+                data = self._board.read()
+            except OSError as error:
+                raise self._board.error(AcquisitionFailed, "read", str(error), "conversions") from error
+            count += len(data)
+            if not data:
+                break
+        return count
+
     def _started(self) -> Record:
         if self._record is None:
             raise self._board.error(SettingRefused, None, None, "a started record")
@@ -432,7 +459,7 @@ class Comedi:
             return True
         whole = len(data) // 2 * 2
         self._odd = data[whole:]
-        record.add(np.frombuffer(data[:whole], np.uint16), self._monotonic_ns())
+        record.add(np.frombuffer(data[:whole], np.uint16), self._monotonic_ns(), prompt=False)
         if not lump:
             self._running = False
             self._end(record)

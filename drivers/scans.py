@@ -92,15 +92,25 @@ class Pacer:
         """So many conversions had been made at this time. Only the first call counts."""
         self._begun = self._begun or (conversions, taken_ns)
 
-    def compare(self, conversions: int, taken_ns: int) -> float | None:
-        """How many times too fast the pacer runs, if that is not plausible; `conversions` taken at this time."""
+    def compare(self, conversions: int, taken_ns: int, *, prompt: bool = True) -> Failure | None:
+        """What is not plausible about so many `conversions` so far, taken from the board at this time.
+
+        Too few are suspicious only if they were taken `prompt`ly, as soon as the board had them.
+        """
         self.begin(conversions, taken_ns)
         assert self._begun is not None
         elapsed = (taken_ns - self._begun[1]) * 1e-9
         converted = (conversions - self._begun[0]) * self._period
         fast = converted > elapsed * (1.0 + self._tolerance) + LATENESS
-        slow = converted < elapsed * (1.0 - self._tolerance) - LUMP - LATENESS
-        return converted / max(elapsed, 1e-3) if fast or slow else None
+        slow = prompt and converted < elapsed * (1.0 - self._tolerance) - LUMP - LATENESS
+        if not (fast or slow):
+            return None
+        return Failure(
+            "clock",
+            f"conversions {converted / max(elapsed, 1e-3):.3g} times as fast as the board says",
+            f"conversions every {self._period * 1e6:g} µs: check the board's 1/10 MHz pacer clock jumper against the "
+            "clock option of comedi_config",
+        )
 
 
 class Record:
@@ -169,22 +179,18 @@ class Record:
         """The run was started at this time of the machine that the board is in."""
         self._pacer.begin(0, taken_ns)
 
-    def add(self, codes: NDArray[np.uint16], taken_ns: int) -> None:
-        """Take in the next conversions, in order, that were taken from the board at `taken_ns` (machine's clock)."""
+    def add(self, codes: NDArray[np.uint16], taken_ns: int, *, prompt: bool = True) -> None:
+        """Take in the next conversions, in order, that were taken from the board at `taken_ns` (machine's clock).
+
+        `prompt`: as soon as the board had them, so that too few of them mean a slow pacer.
+        """
         if self.failure is not None or not len(codes):
             return
         self._check_tags(codes)
         self._pieces.append(codes)
         self.received += len(codes)
-        factor = self._pacer.compare(self.received, taken_ns)
-        if factor is not None and self.failure is None:
-            self.fail(
-                "clock",
-                f"conversions {factor:.3g} times as fast as the board says",
-                "conversions every "
-                f"{self.timing.convert_period * 1e6:g} µs: check the board's 1/10 MHz pacer clock jumper against the "
-                "clock option of comedi_config",
-            )
+        implausible = self._pacer.compare(self.received, taken_ns, prompt=prompt)
+        self.failure = self.failure or implausible
 
     def fail(self, state: str, found: str, wanted: str) -> None:
         """Nothing that comes after this belongs to the record. The first failure stays."""

@@ -314,9 +314,7 @@ class Turntable:
             if self.verdict.state == "failed":
                 raise VerdictNotMet(f"{self._name} at {self._rpm:.4g} rpm: found {self.verdict.reason}")
 
-    def completed(
-        self, edges: NDArray[np.float64], index: NDArray[np.float64], direction: int
-    ) -> list[Revolution]:
+    def completed(self, edges: NDArray[np.float64], index: NDArray[np.float64], direction: int) -> list[Revolution]:
         """Whole revolutions between index pulses; see `revolutions`."""
         return revolutions(edges, index, direction)
 

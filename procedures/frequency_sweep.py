@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -90,7 +90,12 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
         procedure=settings.procedure,
         title=settings.title or f"Frequency sweep, {settings.axis}",
         settings=settings.model_dump(mode="json"),
-        steps=(*_set_up(settings, facts), *_rest(settings, "before"), *_ordered(settings, sines), *_rest(settings, "after")),
+        steps=(
+            *_set_up(settings, facts),
+            *_rest(settings, "before"),
+            *_ordered(settings, sines),
+            *_rest(settings, "after"),
+        ),
         mistakes=tuple(mistakes),
         expect={} if expect is None else {"sensitivity": expect.within},
     )
@@ -192,7 +197,10 @@ def _set_up(settings: Settings, facts: BenchFacts) -> Iterator[Step]:
 def _rest(settings: Settings, when: str) -> Iterator[Static]:
     if settings.static > 0:
         yield Static(
-            f"static {when}", duration=settings.static + settings.settle, seconds=settings.static, purpose=f"static_{when}",
+            f"static {when}",
+            duration=settings.static + settings.settle,
+            seconds=settings.static,
+            purpose=f"static_{when}",
             settle=settings.settle,
         )
 
@@ -204,7 +212,10 @@ def _setting_mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake
         yield Mistake(("stop",), f"found {settings.stop:g} Hz, wanted more than start ({settings.start:g} Hz)")
     highest = facts.scan_rate / 2.56
     if settings.stop > highest:
-        yield Mistake(("stop",), f"found {settings.stop:g} Hz, wanted at most {highest:.0f} Hz (converter at {facts.scan_rate:g} Hz)")
+        yield Mistake(
+            ("stop",),
+            f"found {settings.stop:g} Hz, wanted at most {highest:.0f} Hz (converter at {facts.scan_rate:g} Hz)",
+        )
     if len(set(settings.levels)) != len(settings.levels):
         yield Mistake(("levels",), "found a level twice, wanted each once")
     if not 0 < settings.record <= 600:
@@ -218,22 +229,44 @@ def _setting_mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake
 
 
 def _limit_mistakes(settings: Settings, facts: BenchFacts, sines: list[Sine]) -> Iterator[Mistake]:
+    different = len({sine.frequency for sine in sines})
+    if different < settings.points:
+        text = f"found {settings.points}, wanted at most {different} (whole cycles, clear of mains)"
+        yield Mistake(("points",), text)
     own, bench = settings.limits, facts.limits
-    if len({s.frequency for s in sines}) < settings.points:
-        yield Mistake(("points",), f"found {settings.points}, wanted at most {len({s.frequency for s in sines})} (whole cycles, clear of mains)")
-    for name, wanted in (("acceleration", bench.acceleration), ("stroke", bench.stroke)):
-        value = getattr(own, name)
-        if value is not None and value > wanted * (1 + 1e-9):
-            found, most = format_quantity(value, name if name == "acceleration" else "length"), format_quantity(wanted, name if name == "acceleration" else "length")
-            yield Mistake(("limits", name), f"found {found}, wanted at most the bench's {most}")
-    checks = {
-        "acceleration": (min(own.acceleration or math.inf, bench.acceleration), lambda s: s.acceleration, "acceleration"),
-        "stroke": (min(own.stroke or math.inf, bench.stroke), lambda s: s.acceleration / _omega(s.frequency) ** 2, "length"),
-        "velocity": (bench.velocity, lambda s: s.acceleration / _omega(s.frequency), "velocity"),
-        "source": (bench.source, lambda s: s.acceleration / _omega(s.frequency) ** 2 / facts.drive_constant, "peak_voltage"),
-    }
-    for name, (limit, value_of, kind) in checks.items():
-        worst = max(sines, key=value_of, default=None)
-        if worst is not None and value_of(worst) > limit * (1 + 1e-9):
-            found, most = format_quantity(value_of(worst), kind), format_quantity(limit, kind)
-            yield Mistake(("levels",), f"found {name} {found} at {worst.label}, wanted at most {most}")
+    for name, kind, asked, most in (
+        ("acceleration", "acceleration", own.acceleration, bench.acceleration),
+        ("stroke", "length", own.stroke, bench.stroke),
+    ):
+        if asked is not None and asked > most * (1 + 1e-9):
+            text = f"found {format_quantity(asked, kind)}, wanted at most the bench's {format_quantity(most, kind)}"
+            yield Mistake(("limits", name), text)
+    yield from _over(
+        sines, "acceleration", "acceleration", _tighter(own.acceleration, bench.acceleration), _acceleration
+    )
+    yield from _over(sines, "stroke", "length", _tighter(own.stroke, bench.stroke), _stroke)
+    yield from _over(sines, "velocity", "velocity", bench.velocity, _velocity)
+    yield from _over(sines, "source", "peak_voltage", bench.source, lambda sine: _stroke(sine) / facts.drive_constant)
+
+
+def _over(sines: list[Sine], name: str, kind: str, limit: float, value: Callable[[Sine], float]) -> Iterator[Mistake]:
+    worst = max(sines, key=value, default=None)
+    if worst is not None and value(worst) > limit * (1 + 1e-9):
+        found, most = format_quantity(value(worst), kind), format_quantity(limit, kind)
+        yield Mistake(("levels",), f"found {name} {found} at {worst.label}, wanted at most {most}")
+
+
+def _tighter(own: float | None, bench: float) -> float:
+    return bench if own is None else min(own, bench)
+
+
+def _acceleration(sine: Sine) -> float:
+    return sine.acceleration
+
+
+def _velocity(sine: Sine) -> float:
+    return sine.acceleration / _omega(sine.frequency)
+
+
+def _stroke(sine: Sine) -> float:
+    return sine.acceleration / _omega(sine.frequency) ** 2

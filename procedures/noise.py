@@ -31,8 +31,13 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
         steps=(
             Ask("cables", request=cables_request(settings.cables), duration=20),
             Static(
-                "noise", duration=settings.length + settings.settle, point=True, seconds=settings.length,
-                cables=settings.cables, purpose="noise", settle=settings.settle,
+                "noise",
+                duration=settings.length + settings.settle,
+                point=True,
+                seconds=settings.length,
+                cables=settings.cables,
+                purpose="noise",
+                settle=settings.settle,
             ),
         ),
         mistakes=tuple(_mistakes(settings, facts)),

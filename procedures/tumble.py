@@ -71,8 +71,12 @@ def _records(settings: Settings) -> Iterator[Step]:
         values = {"up_x": up[0], "up_y": up[1], "up_z": up[2]}
         yield Ask(f"pose {number}", request=Request("pose", f"Put the cube down with {name} up.", values), duration=30)
         yield Static(
-            f"pose {number} ({name})", duration=settings.record + settings.settle, point=True, seconds=settings.record,
-            purpose="pose", settle=settings.settle,
+            f"pose {number} ({name})",
+            duration=settings.record + settings.settle,
+            point=True,
+            seconds=settings.record,
+            purpose="pose",
+            settle=settings.settle,
         )
 
 

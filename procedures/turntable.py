@@ -1,13 +1,14 @@
 """Turntable run: rest, spin up, whole revolutions at one speed, coast down, rest; the encoder is the reference.
 
-The platter turns clockwise seen from above; turning the cube over gives the other sense. Nominal speeds (33⅓ and 45 rpm)
-are gates for the operator's choice, never references.
+The platter turns clockwise seen from above; turning the cube over gives the other sense. Nominal speeds (33⅓ and
+45 rpm) are gates for the operator's choice, never references.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -67,19 +68,21 @@ def _steps(settings: Settings) -> Iterator[Step]:
 def _turn(settings: Settings, rpm: float, inverted: bool) -> Iterator[Spin]:
     where = f"{rpm:.4g} rpm{' inverted' if inverted else ''}"
     turn = 60.0 / rpm
-    common = {"rpm": rpm, "gyro_axis": settings.axis, "inverted": inverted, "point": True}
-    yield Spin(f"spin-up {where}", duration=8 + 7 * turn, phase="spin_up", **common)
-    yield Spin(f"hold {where}", duration=settings.revolutions * turn, phase="hold", revolutions=settings.revolutions, **common)
+    phase = partial(Spin, point=True, rpm=rpm, gyro_axis=settings.axis, inverted=inverted)
+    held = settings.revolutions
+    yield phase(f"spin-up {where}", duration=8 + 7 * turn, phase="spin_up")
+    yield phase(f"hold {where}", duration=held * turn, phase="hold", revolutions=held)
     for fraction in PERTURBATIONS if settings.perturb else ():
         label = f"touch {fraction:+.0%} {where}"
-        yield Spin(label, duration=10 * turn, phase="perturbed", revolutions=8, fraction=fraction, **common)
-    yield Spin(f"coast-down {where}", duration=12, phase="coast_down", **common)
+        yield phase(label, duration=10 * turn, phase="perturbed", revolutions=8, fraction=fraction)
+    yield phase(f"coast-down {where}", duration=12, phase="coast_down")
 
 
 def _mount(settings: Settings, inverted: bool) -> Ask:
     card = (
-        f"Place the cube on the platter: {settings.axis} gyro on the platter's axis, {'upside down' if inverted else 'upright'}, "
-        f"centre {settings.radius * 1000:.0f} mm from the axis, turned {settings.angle * RAD_TO_DEG:.0f}°. Route the cable freely."
+        f"Place the cube on the platter: {settings.axis} gyro on the platter's axis, "
+        f"{'upside down' if inverted else 'upright'}, centre {settings.radius * 1000:.0f} mm from the axis, "
+        f"turned {settings.angle * RAD_TO_DEG:.0f}°. Route the cable freely."
     )
     values = {"axis": settings.axis, "inverted": inverted, "radius": settings.radius, "angle": settings.angle}
     return Ask("mount", request=Request("mount_on_turntable", card, values), duration=60)
@@ -87,7 +90,12 @@ def _mount(settings: Settings, inverted: bool) -> Ask:
 
 def _rest(settings: Settings, when: str) -> Static:
     return Static(
-        f"rest {when}", duration=settings.rest, point=True, seconds=settings.rest, cables="turntable", purpose=f"rest_{when}"
+        f"rest {when}",
+        duration=settings.rest,
+        point=True,
+        seconds=settings.rest,
+        cables="turntable",
+        purpose=f"rest_{when}",
     )
 
 
@@ -97,7 +105,9 @@ def _mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake]:
         yield Mistake(("speed",), f"found {rpm:.4g} rpm, wanted 33 1/3 rpm or 45 rpm")
     lines = rpm / 60.0 * LINES
     if lines * 2 > facts.scan_rate:
-        yield Mistake(("speed",), f"found {lines:.0f} encoder lines per second, wanted at most half of {facts.scan_rate:g} Hz")
+        yield Mistake(
+            ("speed",), f"found {lines:.0f} encoder lines per second, wanted at most half of {facts.scan_rate:g} Hz"
+        )
     if not 1.0 <= settings.rest <= 36_000:
         yield Mistake(("rest",), f"found {settings.rest:g} s, wanted 1 s to 10 h")
     for missing in sorted({"recorder", "turntable"} - facts.has):

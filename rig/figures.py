@@ -96,11 +96,32 @@ def density(run: Run) -> Figure | None:
     figure, (ax,) = _new(1, 4.5, f"{run.header['title']}: noise density at the converter")
     samples = first_look.samples_of(run, bodies[0]["samples"])
     rate = samples.timing.scan_rate
-    for name, colour in (("unit_a_x", "unit_a"), ("unit_c_x", "unit_c"), ("gyro_yaw", "gyro"), ("backup_yaw", "backup")):
+    for name, colour in (
+        ("unit_a_x", "unit_a"),
+        ("unit_c_x", "unit_c"),
+        ("gyro_yaw", "gyro"),
+        ("backup_yaw", "backup"),
+    ):
         if any(channel.name == name for channel in samples.channels):
             frequency, power = welch(samples.volts(name), rate, nperseg=min(len(samples.counts), 1 << 14))
             ax.loglog(frequency[1:], np.sqrt(power[1:]) * 1e6, linewidth=0.9, label=name, color=COLOURS[colour])
     ax.set(xlabel="frequency / Hz", ylabel="density / (µV/√Hz)")
+    ax.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def poses(run: Run) -> Figure | None:
+    """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
+    lines = first_look.tumble_lines(run)
+    if not lines:
+        return None
+    figure, (ax,) = _new(1, 4.5, f"{run.header['title']}: residual of the straight line against gravity")
+    for line in lines:
+        milli_g = line.residuals / line.slope / first_look.STANDARD_GRAVITY * 1e3
+        ax.plot(range(1, len(milli_g) + 1), milli_g, "o-", markersize=3, linewidth=0.6, color=COLOURS[line.channel[:6]])
+    for unit in ("unit_a", "unit_b", "unit_c"):
+        ax.plot([], [], "o-", markersize=3, color=COLOURS[unit], label=f"{unit} x y z")
+    ax.set(xlabel="pose", ylabel="residual / mg")
     ax.legend(fontsize=8, frameon=False)
     return figure
 
@@ -116,4 +137,5 @@ _FIGURES: dict[str, Callable[[Run], Figure | None]] = {
     "response": response,
     "rotation": rotation,
     "noise": density,
+    "poses": poses,
 }

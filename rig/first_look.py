@@ -92,7 +92,7 @@ def sweep_rows(run: Run, points: list[SinePoint]) -> list[Row]:
                 continue
             top = max(LOW, min(p.frequency for p in mine))
             low = [abs(p.response) for p in mine if p.frequency <= top]
-            basis = f"mean of {len(low)} points up to {top:g} Hz"
+            basis = f"three-parameter sine fit, mean of {len(low)} points up to {top:g} Hz"
             rows.append(Row(name, float(np.mean(low)), "V/(m/s²)", basis))
     return rows
 
@@ -117,8 +117,10 @@ def turntable_rows(run: Run) -> list[Row]:
         samples = samples_of(run, body["samples"])
         for name in (f"gyro_{body['gyro_axis']}", f"backup_{body['gyro_axis']}"):
             inside = _between(samples, name, body["first_index"], body["last_index"])
-            sensitivity = (float(inside.mean()) - rest[name]) / float(body["rate"])
-            where = f"{abs(float(body['rate'])) * 180 / math.pi:.2f} °/s, {body['revolutions']} revolutions"
+            # about the gyro's own axis: upside down it sees the platter turn the other way
+            rate = -float(body["rate"]) if body["inverted"] else float(body["rate"])
+            sensitivity = (float(inside.mean()) - rest[name]) / rate
+            where = f"at {math.degrees(rate):+.2f} °/s, {body['revolutions']} whole revolutions of the encoder"
             rows.append(Row(name, sensitivity, "V/(rad/s)", where))
     return rows
 
@@ -128,22 +130,39 @@ def _between(samples: Samples, name: str, first: float, last: float) -> NDArray[
     return samples.volts(name)[(instants >= first) & (instants < last)]
 
 
-def tumble_rows(run: Run) -> list[Row]:
-    """Plain accelerometer sensitivity against gravity: least squares of volts on the component of "up", with offset."""
+@dataclass(frozen=True)
+class Line:
+    """Volts of one channel against the component of gravity: slope V/(m/s²), residuals V, shape (poses,)."""
+
+    channel: str
+    slope: float
+    residuals: NDArray[np.float64]
+
+
+def tumble_lines(run: Run) -> list[Line]:
+    """Least squares of volts on the component of "up", with offset, for every accelerometer channel."""
     poses = [(body, means) for body, means, _ in static_means(run) if body["purpose"] == "pose"]
     ups = _pose_directions(run)
     if len(poses) < 6 or len(ups) != len(poses):
         return []
     gravity = gravity_of(run)
-    rows = []
+    lines = []
     for name, sensor in run.header["sensor"]["channels"].items():
         if sensor["quantity"] != "acceleration" or name not in poses[0][1]:
             continue
         component = np.array([up["xyz".index(sensor["axis"])] for up in ups]) * gravity
         volts = np.array([means[name] for _, means in poses])
-        slope = np.polyfit(component, volts, 1)[0]
-        rows.append(Row(name, float(slope), "V/(m/s²)", f"{len(poses)} poses against gravity"))
-    return rows
+        slope, offset = np.polyfit(component, volts, 1)
+        lines.append(Line(name, float(slope), volts - slope * component - offset))
+    return lines
+
+
+def tumble_rows(run: Run) -> list[Row]:
+    """Plain accelerometer sensitivity against gravity."""
+    return [
+        Row(line.channel, line.slope, "V/(m/s²)", f"straight line, {len(line.residuals)} poses against gravity")
+        for line in tumble_lines(run)
+    ]
 
 
 def _pose_directions(run: Run) -> list[tuple[float, float, float]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.metadata
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -16,14 +14,12 @@ from rig import config
 from rig.bench.benchfile import BenchDescription, filled
 from rig.bench.clock import SystemClock
 from rig.bench.control import BenchClock, BenchOperator, Control, ensure_served
-from rig.bench.guard import Charge
+from rig.bench.guard import Charge, load_driver
 from rig.bench.operators import AnswersOperator, TerminalOperator
 from rig.bench.roles import Energises, Instrument
 from rig.document import Document, read
 from rig.errors import BadInput, ConfigError, Problem
 from rig.room import NoTranscript, Room, Transcript
-
-ENTRY_POINTS = "rig.drivers"
 
 
 @dataclass(frozen=True)
@@ -47,20 +43,6 @@ class Bench:
     charges: list[Charge] = field(default_factory=list)
 
 
-def load_driver(name: str) -> ModuleType:
-    """A driver from the `drivers` package or an installed entry point; a YAML file can name nothing else.
-
-    Raises BadInput if there is no such driver.
-    """
-    if re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        for entry in importlib.metadata.entry_points(group=ENTRY_POINTS, name=name):
-            module: ModuleType = entry.load()
-            return module
-        if importlib.util.find_spec(f"drivers.{name}") is not None:
-            return importlib.import_module(f"drivers.{name}")
-    raise BadInput(f"found no driver '{name}', wanted a module of the drivers package or an entry point of {ENTRY_POINTS}")
-
-
 def fittings(description: BenchDescription) -> dict[str, Fitting]:
     """Every instrument's driver and settings; raises ConfigError with all mistakes at their places."""
     document = read(description.path)
@@ -80,7 +62,7 @@ def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[F
     at = ("instruments", role)
     try:
         module = load_driver(str(entry.get("driver", "")))
-    except BadInput as error:
+    except ImportError as error:
         return None, [document.problem((*at, "driver"), str(error))]
     own = _without_driver(document, at)
     settings, problems = config.check(own, module.Settings, at)
@@ -121,7 +103,9 @@ def connected(
         room = _room(description, control, transcript or NoTranscript())
         bench = Bench(description, room, control)
         for role, fitting in wanted.items():
-            settings = fitting.module.Settings.model_validate(filled(fitting.settings.model_dump(mode="json"), addresses))
+            settings = fitting.module.Settings.model_validate(
+                filled(fitting.settings.model_dump(mode="json"), addresses)
+            )
             instrument = fitting.module.connect(role, settings, room)
             stack.callback(instrument.close)
             bench.instruments[role] = instrument

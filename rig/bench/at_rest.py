@@ -43,7 +43,7 @@ def static(step: Static, station: Station) -> dict[str, Any]:
     at_shaker.rest(station)
     sleep(station, step.settle)
     body: dict[str, Any] = {"purpose": step.purpose, "cables": station.cables, "seconds": step.seconds}
-    name = step.label.replace(" ", "-")
+    name = station.block_name(step.label)
     with_cube = "cube" in station.description.file.recorders and "cube" in station.instruments
     if with_cube:
         station.cube.configure()
@@ -77,7 +77,12 @@ def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
         with station.watch("storage"):
             stream.close()
     supply, temperature = (sums / max(taken, 1)).tolist()
-    return {"samples": name, "scans": taken, "start": start, "conditions": {"supply": supply, "temperature": temperature}}
+    return {
+        "samples": name,
+        "scans": taken,
+        "start": start,
+        "conditions": {"supply": supply, "temperature": temperature},
+    }
 
 
 def store_cube(station: Station, name: str, samples: CubeSamples) -> dict[str, Any]:
@@ -92,7 +97,12 @@ def store_cube(station: Station, name: str, samples: CubeSamples) -> dict[str, A
     }
     if samples.clock is not None:
         fit = samples.clock
-        meta["clock"] = {"offset": fit.offset, "rate_error": fit.rate_error, "u_offset": fit.u_offset, "u_rate": fit.u_rate}
+        meta["clock"] = {
+            "offset": fit.offset,
+            "rate_error": fit.rate_error,
+            "u_offset": fit.u_offset,
+            "u_rate": fit.u_rate,
+        }
     frames = np.column_stack(
         [samples.sequence, samples.device_us, samples.flags, samples.supply, samples.temperature]
     ).astype(np.int64)

@@ -51,7 +51,9 @@ def sine(step: Sine, station: Station) -> dict[str, Any]:
         if share == 1.0 and (step.hold == "drive" or abs(reached - 1.0) <= CLOSE_ENOUGH):
             return body
         station.journal.note("approach", label=step.label, attempt=attempt, reached=reached, source=body["source"])
-    raise VerdictNotMet(f"{step.label}: found {reached:.1%} of the level after 3 attempts, wanted within {CLOSE_ENOUGH:.0%}")
+    raise VerdictNotMet(
+        f"{step.label}: found {reached:.1%} of the level after 3 attempts, wanted within {CLOSE_ENOUGH:.0%}"
+    )
 
 
 def rest(station: Station) -> None:
@@ -128,9 +130,7 @@ def _trusted(station: Station) -> Any:
     return station.vibrometer.check(require=True)
 
 
-def _reference_volts(
-    step: Sine, samples: Samples | None, response: Response | None, traces: Traces | None
-) -> float:
+def _reference_volts(step: Sine, samples: Samples | None, response: Response | None, traces: Traces | None) -> float:
     """Amplitude of the reference channel at the driven frequency, V."""
     if samples is not None:
         fitted = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
@@ -145,14 +145,16 @@ def _stored(
     step: Sine, station: Station, samples: Samples | None, response: Response | None, traces: Traces | None
 ) -> dict[str, Any]:
     body: dict[str, Any] = {}
-    name = f"{step.frequency:g}Hz-{step.level}"
+    name = station.block_name(step.label)
     if samples is not None:
         body["samples"] = station.store(name, samples).name
         body["conditions"] = station.conditions(samples)
         body["clipped"] = {c.name: n for c in samples.channels if (n := samples.clipped(c.name))}
     with station.watch("storage"):
         if response is not None:
-            body["response"] = station.journal.block(f"{name}-response", _columns(response), response_meta(response)).name
+            body["response"] = station.journal.block(
+                f"{name}-response", _columns(response), response_meta(response)
+            ).name
         if traces is not None:
             body["traces"] = station.journal.block(f"{name}-traces", traces.volts, traces_meta(traces)).name
     return body
@@ -192,7 +194,9 @@ def _refuse_excess(step: Sine, station: Station, body: dict[str, Any]) -> None:
     ):
         if value > limit * OVERSHOOT:
             rest(station)
-            raise VerdictNotMet(f"{step.label}: found {name} {value:.4g} (SI), wanted at most {limit:.4g}; the drive is off")
+            raise VerdictNotMet(
+                f"{step.label}: found {name} {value:.4g} (SI), wanted at most {limit:.4g}; the drive is off"
+            )
 
 
 def align(step: AlignBeam, station: Station) -> dict[str, Any]:
@@ -210,8 +214,15 @@ def set_filter(step: SetFilter, station: Station) -> dict[str, Any]:
     confirmation = station.filter.configure(
         mode=step.mode, cutoff=step.cutoff, response=step.response, gain_db=step.gain_db
     )
-    station.journal.note("confirmed", action="set_filter", who=confirmation.who, when=confirmation.when,
-                         said=confirmation.said, settings=dict(confirmation.request.settings), text=confirmation.request.text)
+    station.journal.note(
+        "confirmed",
+        action="set_filter",
+        who=confirmation.who,
+        when=confirmation.when,
+        said=confirmation.said,
+        settings=dict(confirmation.request.settings),
+        text=confirmation.request.text,
+    )
     if step.verify:
         station.ask(filter_test_request(on=True))
         try:

@@ -24,7 +24,7 @@ class WatchedRecord:
 
     def __init__(self, step: Spin, station: Station) -> None:
         self._station, self._step = station, step
-        self.name = step.label.replace(" ", "-").replace("/", "-")
+        self.name = station.block_name(step.label)
         timing = station.recorder.configure(rate=station.description.file.rate, channels=station.channels())
         self._scans, self._scan_period = math.ceil(LOOK / timing.scan_period), timing.scan_period
         self._decoder = station.encoder.decoder()
@@ -147,7 +147,9 @@ def _coast_down(step: Spin, station: Station, record: WatchedRecord) -> dict[str
     _speed(station, 0.0)
     while not record.at_rest():
         if record.look()[0] > COAST_AT_MOST:
-            raise VerdictNotMet(f"{step.label}: found the platter still turning after {COAST_AT_MOST:g} s, wanted it at rest")
+            raise VerdictNotMet(
+                f"{step.label}: found the platter still turning after {COAST_AT_MOST:g} s, wanted it at rest"
+            )
     return {}
 
 
@@ -165,8 +167,13 @@ def _speed(station: Station, rpm: float) -> None:
     station.guard.beat(within=3600.0)
     confirmation = station.turntable.set_speed(rpm)
     station.journal.note(
-        "confirmed", action="turntable_speed", settings=dict(confirmation.request.settings),
-        text=confirmation.request.text, who=confirmation.who, when=confirmation.when, said=confirmation.said,
+        "confirmed",
+        action="turntable_speed",
+        settings=dict(confirmation.request.settings),
+        text=confirmation.request.text,
+        who=confirmation.who,
+        when=confirmation.when,
+        said=confirmation.said,
     )
 
 

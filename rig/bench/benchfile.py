@@ -158,7 +158,9 @@ class BenchDescription:
         late = self.overdue(now)
         if late and not override:
             rows = [f"{s.standard} ({s.instrument}, certificate {s.certificate}): found due {s.due}" for s in late]
-            raise StandardOverdue("; ".join(rows) + "; wanted a standard in date, or --allow-overdue (it will be on record)")
+            raise StandardOverdue(
+                "; ".join(rows) + "; wanted a standard in date, or --allow-overdue (it will be on record)"
+            )
         return [standard.standard for standard in late]
 
 

@@ -212,7 +212,7 @@ def load_driver(name: str) -> ModuleType:
         module = entry.load()
         assert isinstance(module, ModuleType)
         return module
-    raise ImportError(f"found no driver {name!r} in `drivers` nor among the entry points `rig.drivers`")
+    raise ImportError(f"found no driver {name!r}, wanted a module of `drivers` or an entry point of `rig.drivers`")
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from functools import cache
 from types import ModuleType
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, Union, cast
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, create_model
 
@@ -57,26 +57,35 @@ def _kind(value: Any) -> str | None:
 def file_model() -> type[RootModel[Any]]:
     """What a procedure file may hold; also the source of its JSON schema."""
     kinds = {name: module.Settings for name, module in procedures().items()}
-    leaves = [Annotated[model, Tag(name)] for name, model in kinds.items()]
-    items = [*leaves, Annotated[Prompt, Tag("prompt")], Annotated[WaitItem, Tag("wait")]]
-    flat = Annotated[Union[tuple(items)], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
+    leaves: dict[str, Any] = {**kinds, "prompt": Prompt, "wait": WaitItem}
+    strict = ConfigDict(extra="forbid", frozen=True)
+    times: Any = Annotated[int, Field(ge=1, le=1000)]
     repeat = create_model(
         "Repeat",
         __doc__="The same steps several times.",
-        __config__=ConfigDict(extra="forbid", frozen=True),
-        repeat=(Annotated[int, Field(ge=1, le=1000)], ...),
-        steps=(Annotated[list[flat], Field(min_length=1)], ...),  # type: ignore[valid-type]
+        __config__=strict,
+        repeat=(times, ...),
+        steps=(_list(leaves), ...),
     )
-    item = Annotated[Union[(*items, Annotated[repeat, Tag("repeat")])], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
     sequence = create_model(
         "Sequence",
         __doc__="Procedures, prompts, waits and repetitions, one after another in one run.",
-        __config__=ConfigDict(extra="forbid", frozen=True),
+        __config__=strict,
         title=(str, ""),
-        steps=(Annotated[list[item], Field(min_length=1)], ...),  # type: ignore[valid-type]
+        steps=(_list({**leaves, "repeat": repeat}), ...),
     )
-    whole = Annotated[Union[(*leaves, Annotated[sequence, Tag("sequence")])], Discriminator(_kind)]  # type: ignore[valid-type]  # noqa: UP007
-    return create_model("ProcedureFile", __base__=RootModel[whole])  # type: ignore[valid-type]
+    whole: Any = RootModel[_any_of({**kinds, "sequence": sequence})]  # type: ignore[misc]
+    return cast(type[RootModel[Any]], create_model("ProcedureFile", __base__=whole))
+
+
+def _any_of(members: Mapping[str, Any]) -> Any:
+    """The union of models, told apart by `_kind`."""
+    tagged = tuple(Annotated[model, Tag(tag)] for tag, model in members.items())
+    return Annotated[Union[tagged], Discriminator(_kind)]  # noqa: UP007 - made at run time
+
+
+def _list(members: Mapping[str, Any]) -> Any:
+    return Annotated[list[_any_of(members)], Field(min_length=1)]  # type: ignore[misc]
 
 
 def plan(document: Document, facts: BenchFacts) -> Plan:

@@ -1,4 +1,4 @@
-"""Roles: what a procedure's steps need an instrument to do. Drivers fit a role by their shape, never by a base class."""
+"""Roles: what steps need an instrument to do. Drivers fit a role by their shape, never by a base class."""
 
 from __future__ import annotations
 

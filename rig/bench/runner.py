@@ -51,7 +51,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Order:
-    """Everything that a run is made from. `document` is the procedure as the user wrote it, so that it can be resumed."""
+    """Everything that a run is made from. `document` is the procedure as it was written, for resuming."""
 
     plan: Plan
     document: Mapping[str, Any]
@@ -79,9 +79,9 @@ def run(order: Order) -> Outcome:
 
 
 def resume(order: Order, name: str) -> Outcome:
-    """Go on with an interrupted run: same instruments, same settings, the last point repeated, then the rest.
+    """Go on with an interrupted run: same instruments and settings, the last point repeated, then the rest.
 
-    Raises BadInput if the bench or the procedure is not the one of the run, VerdictNotMet if the repeated point differs.
+    Raises BadInput if the bench is not that of the run, VerdictNotMet if the repeated point differs.
     """
     with _stoppable(), Guard.start() as guard, connected(order.description, order.runs, _needed(order)) as bench:
         _refuse_beforehand(order, bench)
@@ -202,6 +202,7 @@ class _Carrying:
     def _one(self, index: int, step: Step) -> None:
         self._guard.beat(within=PATIENCE + step.duration)
         self._report(step.label)
+        self._station.step = f"{index:04d}"
         body = {"label": step.label, **carry_out_step(step, self._station)}
         with self._watch("storage"):
             if step.point:
@@ -233,6 +234,7 @@ class _Carrying:
         last = max((i for i in recorded if isinstance(steps[i], Sine)), default=None)
         if last is None:
             return
+        self._station.step = f"{last:04d}-repeated"
         body = carry_out_step(steps[last], self._station)
         was, now = float(recorded[last]["drive_constant"]), float(body["drive_constant"])
         self._writer.note("repeated", index=last, was=was, now=now, **body)
@@ -332,5 +334,3 @@ def _uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-

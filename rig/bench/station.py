@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +17,7 @@ from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibro
 from rig.errors import BadInput
 from rig.record import Samples
 from rig.room import Confirmation, Request, Room
+from rig.run_writer import RunWriter
 
 
 class Heartbeat(Protocol):
@@ -24,13 +26,6 @@ class Heartbeat(Protocol):
     def beat(self, within: float) -> None:
         """Promise another sign of life within so many seconds of real time."""
         ...
-
-
-class Journal(Protocol):
-    """The run, as a step sees it: notes and closed blocks."""
-
-    def note(self, kind: str, **body: Any) -> None: ...
-    def block(self, name: str, counts: Any, meta: Mapping[str, Any]) -> Any: ...
 
 
 class Stopwatch:
@@ -75,12 +70,13 @@ class Station:
     description: BenchDescription
     instruments: Mapping[str, Instrument]
     room: Room
-    journal: Journal
+    journal: RunWriter
     guard: Heartbeat
     watch: Stopwatch
     progress: Callable[[str], None]
     drive: Drive
     cables: str = "shaker"
+    step: str = ""  # number of the step, the first part of its blocks' names
 
     @property
     def analyzer(self) -> Analyzer:
@@ -125,8 +121,8 @@ class Station:
 
     def channels(self) -> tuple[str, ...]:
         """Wiring of the converter with the cable set that is connected now."""
-        cables: dict[str, tuple[str, ...]] = dict(self.description.file.cables)
-        return cables[self.cables]
+        cables = self.description.file.cables
+        return cables["turntable" if self.cables == "turntable" else "shaker"]
 
     def ask(self, request: Request) -> Confirmation:
         """Let the operator do one thing, and keep who confirmed what and when."""
@@ -149,6 +145,11 @@ class Station:
         """Close one stretch of raw counts as a block; returns the block's reference."""
         with self.watch("storage"):
             return self.journal.block(name, samples.counts, samples_meta(samples))
+
+    def block_name(self, label: str) -> str:
+        """The name of a step's block: its number and its label in letters, digits, dots and dashes."""
+        words = re.sub(r"[^A-Za-z0-9.]+", "-", label.replace("+", "p").replace("-", "m")).strip("-")
+        return f"{self.step}-{words}"
 
     def conditions(self, samples: Samples) -> dict[str, float]:
         """Supply (V) and temperature (°C) while the record was taken, from its own channels."""

@@ -18,7 +18,7 @@ Hold = Literal["acceleration", "velocity", "drive"]
 
 @dataclass(frozen=True)
 class Step:
-    """One thing the bench does. `duration` (s) is an estimate on the bench's clock; `point` says whether it is counted."""
+    """One thing the bench does. `duration` (s, bench clock) is an estimate; `point` says whether it is counted."""
 
     label: str
     duration: float = 0.0
@@ -85,9 +85,9 @@ class Sine(Step):
 class Spin(Step):
     """One phase of a turntable run, recorded as a whole.
 
-    `phase`: `spin_up` starts the platter at `rpm` and records until it is steady; `hold` records `revolutions` whole
-    revolutions; `perturbed` records the same with a touch of `fraction`; `coast_down` stops the drive and records until the
-    platter rests.
+    `phase`: `spin_up` starts the platter at `rpm` and records until it is steady; `hold` records `revolutions`
+    whole revolutions; `perturbed` does so with a touch of `fraction`; `coast_down` stops the drive and records until
+    the platter rests.
     """
 
     phase: Literal["spin_up", "hold", "perturbed", "coast_down"] = "hold"
@@ -166,9 +166,14 @@ def requests_of(step: Step) -> tuple[Request, ...]:
         case Ask(request=request):
             return (request,)
         case AlignBeam():
-            return (Request("align_beam", "Align the laser beam on the target until the signal level is steady and high."),)
+            return (
+                Request("align_beam", "Align the laser beam on the target until the signal level is steady and high."),
+            )
         case SetFilter():
-            return (filter_request(step), *((filter_test_request(on=True), filter_test_request(on=False)) if step.verify else ()))
+            return (
+                filter_request(step),
+                *((filter_test_request(on=True), filter_test_request(on=False)) if step.verify else ()),
+            )
         case Spin(phase="spin_up", rpm=rpm):
             return (speed_request(rpm),)
         case Spin(phase="coast_down"):
@@ -213,4 +218,3 @@ def touch_request(fraction: float) -> Request:
 
 def cables_request(name: str) -> Request:
     return Request("cables", f"Connect the {name} cable set to the converter.", {"set": name})
-

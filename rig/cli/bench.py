@@ -24,7 +24,9 @@ def bench() -> None:
 @bench_option
 @runs_option
 @json_option
-@click.option("--watch", type=click.IntRange(min=1), metavar="N", help="Show the optical level N times while you align the beam.")
+@click.option(
+    "--watch", type=click.IntRange(min=1), metavar="N", help="Show the optical level N times while you align the beam."
+)
 def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> None:
     """Find every instrument, its identity, its errors, and the due dates of the standards."""
     from rig.bench.benchfile import describe
@@ -33,8 +35,13 @@ def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> N
     description = describe(bench_path(bench))
     rows = _instrument_rows(description, runs)
     standards, level = _standard_rows(description, runs, watch, quiet=as_json)
-    report = {"bench": description.file.bench, "simulated": description.simulated, "instruments": rows, "standards": standards,
-              "optical_level": level}
+    report = {
+        "bench": description.file.bench,
+        "simulated": description.simulated,
+        "instruments": rows,
+        "standards": standards,
+        "optical_level": level,
+    }
     if as_json:
         print_json(report)
     else:
@@ -53,7 +60,7 @@ def _instrument_rows(description: BenchDescription, runs: Path) -> list[dict[str
     for role, fitting in fittings(description).items():
         row: dict[str, Any] = {"role": role, "driver": fitting.driver, "identity": "", "error": "", "pending": []}
         try:
-            with connected(description, runs, lambda name, wanted=role: name == wanted) as found:
+            with connected(description, runs, role.__eq__) as found:
                 instrument = found.instruments[role]
                 row["identity"] = str(instrument.identify())
                 errors = getattr(instrument, "errors", None)
@@ -79,8 +86,13 @@ def _standard_rows(
     except WorkFailed:
         late = {standard.standard for standard in description.overdue(time.time())}
     return [
-        {"standard": s.standard, "instrument": s.instrument, "certificate": s.certificate, "due": s.due.isoformat(),
-         "overdue": s.standard in late}
+        {
+            "standard": s.standard,
+            "instrument": s.instrument,
+            "certificate": s.certificate,
+            "due": s.due.isoformat(),
+            "overdue": s.standard in late,
+        }
         for s in description.standards
     ], level
 
@@ -116,7 +128,9 @@ def _print_report(report: dict[str, Any]) -> None:
 @runs_option
 @json_option
 @click.option("--seed", type=click.IntRange(min=0), help="World seed [default: the bench file's].")
-@click.option("--hidden-seed", type=click.IntRange(min=0), help="Hide one effect, drawn with this seed, until `rig bench reveal`.")
+@click.option(
+    "--hidden-seed", type=click.IntRange(min=0), help="Hide one effect, drawn with this seed, until `rig bench reveal`."
+)
 def serve(bench: Path | None, runs: Path, as_json: bool, seed: int | None, hidden_seed: int | None) -> None:
     """Serve the simulated bench until Ctrl-C, so that any program can talk to it."""
     from rig.bench import assembly, control

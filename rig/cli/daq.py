@@ -15,7 +15,9 @@ def daq() -> None:
 @daq.command()
 @click.option("--device", default="/dev/comedi0", show_default=True, help="comedi device of the board.")
 @click.option("--library", default="libcomedi.so.0", show_default=True, help="comedi library.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; use a private interface only.")
+@click.option(
+    "--host", default="127.0.0.1", show_default=True, help="Address to listen on; use a private interface only."
+)
 @click.option("--port", default=30431, show_default=True, type=click.IntRange(0, 65535))
 @json_option
 def serve(device: str, library: str, host: str, port: int, as_json: bool) -> None:
@@ -29,5 +31,7 @@ def serve(device: str, library: str, host: str, port: int, as_json: bool) -> Non
     clock = SystemClock()
     comedi = importlib.import_module("drivers.comedi")
     service = importlib.import_module("drivers.daq_service")
-    board = comedi.connect("board", comedi.Settings(device=device, library=library), Room(clock, TerminalOperator(clock)))
+    board = comedi.connect(
+        "board", comedi.Settings(device=device, library=library), Room(clock, TerminalOperator(clock))
+    )
     service.run(board, host, port, announce=lambda line: click.echo(line), as_json=as_json)

@@ -19,7 +19,9 @@ def measuring(command: Any) -> Any:
     """Options of every command that measures."""
     for option in (
         json_option,
-        click.option("--allow-overdue", is_flag=True, help="Measure with a standard past its due date; goes on record."),
+        click.option(
+            "--allow-overdue", is_flag=True, help="Measure with a standard past its due date; goes on record."
+        ),
         click.option("--dry-run", is_flag=True, help="Print every step, the duration and the limits; move nothing."),
         runs_option,
         bench_option,
@@ -104,7 +106,9 @@ def resume(name: str, **options: Any) -> None:
     from rig.bench import runner
 
     found = Runs(options["runs"]).open(name)
-    order = _order(_document(found.header["document"]), "", {**options, "allow_overdue": bool(found.header["overdue_overridden"])})
+    order = _order(
+        _document(found.header["document"]), "", {**options, "allow_overdue": bool(found.header["overdue_overridden"])}
+    )
     _carried_out(order, lambda watched: runner.resume(watched, found.name), options)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig.first_look import Row
     from rig.run_reader import Run
 
-CAVEAT = "no uncertainty yet: a plain three-parameter sine fit, not a calibration"
+CAVEAT = "no uncertainty yet: plain estimates for a first look, not a calibration"
 
 
 def present(done: Outcome, order: Order, *, as_json: bool) -> None:
@@ -30,11 +30,18 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     figure = draw(run, order.runs / "reports" / run.name)
     missed = _unmet(order.plan, rows)
     if as_json:
-        print_json({
-            **run.summary(), "elapsed": done.elapsed, "shares": dict(done.shares), "figures": [str(p) for p in figure],
-            "rows": [{"channel": r.channel, "value": r.sensitivity, "unit": r.unit, "basis": r.basis} for r in rows],
-            "unmet": missed,
-        })
+        print_json(
+            {
+                **run.summary(),
+                "elapsed": done.elapsed,
+                "shares": dict(done.shares),
+                "figures": [str(p) for p in figure],
+                "rows": [
+                    {"channel": r.channel, "value": r.sensitivity, "unit": r.unit, "basis": r.basis} for r in rows
+                ],
+                "unmet": missed,
+            }
+        )
     else:
         click.echo(run_as_text(run, rows))
         _print_ending(done, figure, run)
@@ -113,7 +120,8 @@ def step_detail(step: Step) -> str:
 
     if isinstance(step, Sine):
         peaks = sine_peaks(step)
-        return f"{peaks['acceleration'] / 9.80665:.3f} g  {peaks['stroke'] * 1e6:.2f} µm  {peaks['velocity'] * 1e3:.2f} mm/s"
+        g, micrometres = peaks["acceleration"] / 9.80665, peaks["stroke"] * 1e6
+        return f"{g:.3f} g  {micrometres:.2f} µm  {peaks['velocity'] * 1e3:.2f} mm/s"
     asked = "; ".join(request.text for request in requests_of(step))
     return asked or f"{duration_text(step.duration)}"
 

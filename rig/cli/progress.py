@@ -43,7 +43,9 @@ class Bar:
         """Take note of where the run is."""
         left = self._left(progress)
         if self._live is not None:
-            self._live.update(self._task, completed=progress.done, total=progress.total, left=left, label=progress.label)
+            self._live.update(
+                self._task, completed=progress.done, total=progress.total, left=left, label=progress.label
+            )
         elif not self._quiet and time.monotonic() - self._last > PLAIN_EVERY:
             self._last = time.monotonic()
             points = f"{progress.points_done} of {progress.points} points"

@@ -27,7 +27,9 @@ def runs(runs: Path, as_json: bool) -> None:
     width = max(len(row["run"]) for row in rows)
     for row in rows:
         mark = "  SIMULATED" if row["simulated"] else ""
-        click.echo(f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}")
+        click.echo(
+            f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}"
+        )
     click.echo("next: rig show last")
 
 

@@ -106,10 +106,10 @@ def test_cr_pack_is_reference_range_channel() -> None:
 
 
 def test_the_real_library_has_every_function_and_its_own_error_texts() -> None:
-    path = ctypes.util.find_library("comedi")
-    if path is None:
+    try:
+        library = comedi.load("libcomedi.so.0")
+    except OSError:
         pytest.skip("libcomedi.so.0 is not installed (Debian package libcomedi0)")
-    library = comedi.load(path)
     assert library.comedi_open(b"/dev/no-such-board") is None
     assert library.comedi_errno() == errno.ENOENT
     assert b"No such file" in library.comedi_strerror(errno.ENOENT)
@@ -211,7 +211,7 @@ def test_an_overflow_lets_the_buffer_be_read_and_is_then_an_error() -> None:
     with pytest.raises(AcquisitionFailed, match="EPIPE"):
         rig.recorder.read(9000)
     assert rig.recorder.state == "overflow"
-    assert len(rig.recorder.received().counts) == 64_000 // 5000 * 2500 // 16 - 1
+    assert len(rig.recorder.received().counts) == 1875  # twelve lumps of 2500, and the tag of the next scan
     rig.recorder.start(100)
     assert len(rig.recorder.read(100).counts) == 100
     rig.recorder.close()
@@ -229,8 +229,8 @@ def test_the_kernel_s_end_of_a_command_is_data_then_zero(rig: Rig) -> None:
 
 
 def test_a_lost_conversion_is_named_by_its_scan(rig: Rig) -> None:
-    rig.time.faults["das16jr.slip"] = 300
     rig.recorder.configure(rate=3125.0, channels=NAMES)
+    rig.time.faults["das16jr.slip"] = 300
     rig.recorder.start(1000)
     with pytest.raises(AcquisitionFailed, match=r"in scan 301\b"):
         rig.recorder.read(1000)
@@ -240,17 +240,14 @@ def test_a_lost_conversion_is_named_by_its_scan(rig: Rig) -> None:
 @pytest.mark.parametrize("factor", [True, 0.1])
 def test_a_wrong_pacer_clock_is_an_error_that_names_the_jumper(rig: Rig, factor: float) -> None:
     rig.time.faults["das16jr.clock"] = factor
-    rig.recorder.configure(rate=3125.0, channels=NAMES)
-    rig.recorder.start(3000)
     with pytest.raises(AcquisitionFailed, match="pacer clock jumper"):
-        rig.recorder.read(3000)
+        rig.recorder.configure(rate=3125.0, channels=NAMES)
 
 
 def test_a_board_without_data_is_no_answer(rig: Rig) -> None:
     rig.recorder.configure(rate=3125.0, channels=NAMES)
     rig.recorder.start(100)
-    rig.library._kernel.board.cancel = lambda: None  # type: ignore[union-attr,method-assign]
-    rig.time._subscribers.clear()
+    rig.time._subscribers.clear()  # the board's time stands still
     with pytest.raises(NoAnswer, match="no data for"):
         rig.recorder.read(100)
 
@@ -258,7 +255,11 @@ def test_a_board_without_data_is_no_answer(rig: Rig) -> None:
 def test_other_errors_of_read_end_the_record_as_failed() -> None:
     rig = Rig()
 
+    present = True
+
     def detached(descriptor: int, size: int) -> bytes:
+        if present:
+            return rig.library.read(descriptor, size)
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
     settings = Settings(timeout="50 ms")
@@ -267,6 +268,7 @@ def test_other_errors_of_read_end_the_record_as_failed() -> None:
     recorder = comedi.Comedi(board, settings, Room(rig.time, Nobody()), rig.time.monotonic_ns)
     recorder.configure(rate=3125.0, channels=NAMES)
     recorder.start(100)
+    present = False
     with pytest.raises(AcquisitionFailed, match="No such device"):
         recorder.read(100)
     assert recorder.state == "failed"

@@ -5,8 +5,7 @@ port, and the board's own descriptor, read whenever it has something. Acquisitio
 bounded queue, and a client that lets it fill ends its run with a flag. There is no authentication: listen on loopback
 (the default) or on a private interface only.
 
-Choices where the page is silent: the first heartbeat is sent at once, so that a client knows that its data connection
-has been taken; `CONF:CHAN` keeps the conversion period, so that it can never be out of range; the
+Choices where the page is silent: `CONF:CHAN` keeps the conversion period, so that it can never be out of range; the
 newest data connection takes the place of an idle one, and is closed at once while a run is under way; a run whose data
 connection closes is stopped; after `ABOR` what the board had ready is still sent.
 """
@@ -152,7 +151,6 @@ class Service:
                 return
             self._data.end()
         self._data = connection
-        connection.send(self.heartbeat())
 
     def went(self, connection: Data) -> None:
         """A data connection is gone, and with it the run."""

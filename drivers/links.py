@@ -70,6 +70,7 @@ class _SocketStream:
 
     def __init__(self, raw: socket.socket, timeout: float) -> None:
         self._raw = raw
+        raw.getpeername()  # pyvisa-py takes a refused connection for an open one; here it is an OSError
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         raw.settimeout(timeout)
 
@@ -180,7 +181,7 @@ class _Opening:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         from pyvisa import errors
 
-        if type(error) is Exception or isinstance(error, errors.Error | OSError | ValueError):
+        if type(error) is Exception or isinstance(error, errors.Error | OSError | ValueError | _LineError):
             raise Disconnected(self._instrument, self._address, wanted=f"a connection ({error})") from error
 
 
@@ -214,8 +215,7 @@ class Gateway:
         with vars(manager).setdefault("rig_opening", threading.RLock()):
             for resource in manager.list_opened_resources():
                 known = vars(resource).get("rig_gateway")
-                if isinstance(known, cls) and known.address == key and not known.lost:
-                    known.users += 1
+                if isinstance(known, cls) and known.address == key and known.join():
                     return known
             return cls._open(manager, key, parsed, timeout)
 
@@ -225,17 +225,25 @@ class Gateway:
         name = re.sub(r"^(PRLGX-[A-Z]+)\d*", rf"\g<1>{board}", str(parsed))
         try:
             interface = manager.open_resource(name, open_timeout=round(max(timeout, 1.0) * 1000))
+            session = manager.visalib.sessions[interface.session]
+            gateway = cls(key, board, interface, _stream_of(session.interface, timeout), users=1)
+            # Saving is on after every power-up and wears the adapter's memory at each change of address.
+            gateway.stream.send(f"++savecfg 0\n++read_tmo_ms {READ_TIMEOUT_MS}\n".encode())
         except BaseException:
             _forget_board(board)
             raise
         interface.timeout = round(timeout * 1000)
-        session = manager.visalib.sessions[interface.session]
-        gateway = cls(key, board, interface, _stream_of(session.interface, timeout), users=1)
-        vars(interface)["rig_gateway"] = gateway
-        # Saving is on after every power-up and wears the adapter's memory at each change of address.
-        gateway.stream.send(f"++savecfg 0\n++read_tmo_ms {READ_TIMEOUT_MS}\n".encode())
         session.plus_plus_read = False
+        vars(interface)["rig_gateway"] = gateway
         return gateway
+
+    def join(self) -> bool:
+        """One instrument more; False if the connection is lost, or closed by the last one a moment ago."""
+        with self.lock:
+            if self.lost or not self.users:
+                return False
+            self.users += 1
+            return True
 
     def release(self) -> None:
         """One instrument less; the connection is closed with the last one."""
@@ -350,7 +358,12 @@ class VisaLink:
                     instrument, resource, Gateway.share(manager, gateway, timeout), manager, timeout, room
                 )
             opened = manager.open_resource(resource, open_timeout=round(max(timeout, 3.0) * 1000))
-            return cls(instrument, resource, opened, _direct(manager, opened, timeout), timeout=timeout, room=room)
+            try:
+                stream = _direct(manager, opened, timeout)
+            except BaseException:
+                opened.close()
+                raise
+            return cls(instrument, resource, opened, stream, timeout=timeout, room=room)
 
     @classmethod
     def _behind(

@@ -80,7 +80,7 @@ class Settings(BaseModel):
 
 def expand(settings: Settings, facts: BenchFacts) -> Plan:
     """Steps of the sweep: set up, rest, every frequency at every level, rest."""
-    mistakes = [*_setting_mistakes(settings, facts)]
+    mistakes = [*_setting_mistakes(settings, facts), *_wider_than_bench(settings, facts)]
     sines: list[Sine] = []
     if not mistakes:
         sines = list(_sines(settings, facts))
@@ -228,11 +228,7 @@ def _setting_mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake
         yield Mistake(("expect", "sensitivity", "within"), "found limits in the wrong order, wanted [lower, upper]")
 
 
-def _limit_mistakes(settings: Settings, facts: BenchFacts, sines: list[Sine]) -> Iterator[Mistake]:
-    different = len({sine.frequency for sine in sines})
-    if different < settings.points:
-        text = f"found {settings.points}, wanted at most {different} (whole cycles, clear of mains)"
-        yield Mistake(("points",), text)
+def _wider_than_bench(settings: Settings, facts: BenchFacts) -> Iterator[Mistake]:
     own, bench = settings.limits, facts.limits
     for name, kind, asked, most in (
         ("acceleration", "acceleration", own.acceleration, bench.acceleration),
@@ -241,6 +237,14 @@ def _limit_mistakes(settings: Settings, facts: BenchFacts, sines: list[Sine]) ->
         if asked is not None and asked > most * (1 + 1e-9):
             text = f"found {format_quantity(asked, kind)}, wanted at most the bench's {format_quantity(most, kind)}"
             yield Mistake(("limits", name), text)
+
+
+def _limit_mistakes(settings: Settings, facts: BenchFacts, sines: list[Sine]) -> Iterator[Mistake]:
+    different = len({sine.frequency for sine in sines})
+    if different < settings.points:
+        text = f"found {settings.points}, wanted at most {different} (whole cycles, clear of mains)"
+        yield Mistake(("points",), text)
+    own, bench = settings.limits, facts.limits
     yield from _over(
         sines, "acceleration", "acceleration", _tighter(own.acceleration, bench.acceleration), _acceleration
     )

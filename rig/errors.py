@@ -36,6 +36,10 @@ class RigError(Exception):
     exit_code = 1
 
 
+class Terminated(BaseException):
+    """SIGTERM or SIGHUP: like Ctrl-C it is no error, and unwinds through every safe action. Exit code 130."""
+
+
 class BadInput(RigError):
     """What the user gave cannot be used; nothing was moved and nothing was sent."""
 

@@ -14,7 +14,7 @@ from rig.run_reader import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#1f5fa8", "backup": "#c2571a"}
+COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#7a3b8f", "backup": "#c2571a"}
 
 
 def draw(run: Run, folder: Path) -> list[Path]:
@@ -60,13 +60,23 @@ def response(run: Run) -> Figure | None:
             frequency = [p.frequency for p in mine]
             nominal = abs(np.mean([abs(p.response) for p in mine[:3]]))
             style = {"color": COLOURS[channel[:6]], "marker": marker, "markersize": 4, "linewidth": 0.9}
-            label = f"{channel} {level}"
+            label = f"{channel} {level}" if level == "full" else None
             magnitude.plot(frequency, [abs(p.response) / nominal for p in mine], label=label, **style)
             phase.plot(frequency, [np.degrees(np.angle(p.response)) for p in mine], **style)
-    magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest frequencies")
-    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz")
+    magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest")
+    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz (circles: full level, crosses: quarter)")
+    _plain_ticks(phase)
     magnitude.legend(fontsize=8, ncols=3, frameon=False)
     return figure
+
+
+def _plain_ticks(ax: Any) -> None:
+    """Frequencies as a person writes them."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    ax.xaxis.set_major_locator(FixedLocator([10, 20, 50, 100, 200, 500, 1000]))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
 
 
 def rotation(run: Run) -> Figure | None:
@@ -104,10 +114,19 @@ def density(run: Run) -> Figure | None:
     ):
         if any(channel.name == name for channel in samples.channels):
             frequency, power = welch(samples.volts(name), rate, nperseg=min(len(samples.counts), 1 << 14))
-            ax.loglog(frequency[1:], np.sqrt(power[1:]) * 1e6, linewidth=0.9, label=name, color=COLOURS[colour])
+            ax.loglog(*_log_bins(frequency[1:], power[1:]), linewidth=1.0, label=name, color=COLOURS[colour])
     ax.set(xlabel="frequency / Hz", ylabel="density / (µV/√Hz)")
     ax.legend(fontsize=8, frameon=False)
     return figure
+
+
+def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
+    """Mean power in logarithmic bins, as a density in µV/√Hz: the eye averages logarithms, which is biased."""
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, bins + 1)
+    place = np.digitize(frequency, edges)
+    used = [k for k in range(1, bins + 1) if np.any(place == k)]
+    centre = [float(frequency[place == k].mean()) for k in used]
+    return centre, [float(np.sqrt(power[place == k].mean())) * 1e6 for k in used]
 
 
 def poses(run: Run) -> Figure | None:

@@ -231,7 +231,7 @@ def set_filter(step: SetFilter, station: Station) -> dict[str, Any]:
             rest(station)
             station.ask(filter_test_request(on=False))
         station.journal.note("filter_verified", result=str(verified))
-    return {"status": station.filter.status}
+    return {"filter": station.filter.settings()}
 
 
 def _measured_response(frequency: float, station: Station) -> complex:

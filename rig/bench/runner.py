@@ -20,10 +20,14 @@ from rig.bench.guard import Guard
 from rig.bench.roles import Energises
 from rig.bench.station import Drive, Station, Stopwatch
 from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
-from rig.errors import BadInput, VerdictNotMet, WorkFailed
+from rig.errors import BadInput, Terminated, VerdictNotMet, WorkFailed
 from rig.run_writer import RunWriter
 
 PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
+STEADY_SETTINGS = frozenset(
+    {"mode", "start", "stop", "points", "averages", "window", "input_1_coupling", "input_2_coupling", "duration"}
+    | {"first", "last", "gain", "convert_period", "decoder", "full_scale"}
+)
 RESUME_TOLERANCE = 0.02  # the repeated point must give the same ratio of motion to drive within this
 
 
@@ -62,10 +66,6 @@ class Order:
     on_progress: Callable[[Progress], None] = field(default=lambda progress: None)
 
 
-class Terminated(BaseException):
-    """SIGTERM or SIGHUP: like Ctrl-C, it unwinds through the safe action."""
-
-
 def run(order: Order) -> Outcome:
     """Carry out a plan as a new run. Errors pass through after the bench is at rest; the run is then `interrupted`.
 
@@ -91,6 +91,7 @@ def resume(order: Order, name: str) -> Outcome:
         steps = {int(e.body["index"]): e.body for e in old.lines() if e.kind in ("step", "point")}
         with runs.reopen(name) as writer:
             carrying = _Carrying(order, bench, guard, writer)
+            carrying.expected = {e.body["role"]: e.body["settings"] for e in old.lines() if e.kind == "settings"}
             return carrying.carry_out(done=frozenset(steps), recorded=steps)
 
 
@@ -164,6 +165,7 @@ class _Carrying:
     def __init__(self, order: Order, bench: Bench, guard: Guard, writer: RunWriter) -> None:
         self._order, self._bench, self._guard, self._writer = order, bench, guard, writer
         self._done = 0
+        self.expected: dict[str, Mapping[str, Any]] = {}  # settings that a resumed run must find again
         self._watch = Stopwatch()
         self._station = Station(
             order.description,
@@ -218,7 +220,17 @@ class _Carrying:
             channels, rate = self._station.channels(), self._order.description.file.rate
             self._station.recorder.configure(rate=rate, channels=channels)
         for role, instrument in self._bench.instruments.items():
-            self._writer.note("settings", role=role, settings=instrument.settings())
+            settings = instrument.settings()
+            self._writer.note("settings", role=role, settings=settings)
+            self._refuse_other_settings(role, settings)
+
+    def _refuse_other_settings(self, role: str, settings: Mapping[str, Any]) -> None:
+        """What does not move during a run must read back as it did when the run began."""
+        for key in STEADY_SETTINGS & settings.keys() & self.expected.get(role, {}).keys():
+            if settings[key] != self.expected[role][key]:
+                raise BadInput(
+                    f"{role}, {key}: found {settings[key]}, wanted {self.expected[role][key]} as the run began"
+                )
 
     def _repeat_last(self, recorded: Mapping[int, Mapping[str, Any]]) -> None:
         """The last sine point again: the ratio of motion to drive must be what it was before anything goes on."""

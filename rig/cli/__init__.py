@@ -58,7 +58,7 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Entry point: deliberate errors become one message on stderr and the exit code that the error names."""
-    from rig.errors import RigError
+    from rig.errors import RigError, Terminated
 
     try:
         code = cli.main(standalone_mode=False)
@@ -67,8 +67,8 @@ def main() -> NoReturn:
     except click.ClickException as error:
         error.show()
         code = error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted; the bench is at rest", err=True)
+    except (click.Abort, KeyboardInterrupt, Terminated):
+        click.echo("interrupted; what was energised is off. next: rig runs, rig resume last", err=True)
         code = 130
     except RigError as error:
         click.echo(f"error: {error}", err=True)

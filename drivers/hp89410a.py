@@ -129,8 +129,7 @@ MESSAGES: tuple[str, ...] = (
     SETTINGS_QUERY,
     OUTPUT.format(state="OFF"),
 )
-"""Every message, in an order in which the instrument takes all of them. The two blocks after RUN_AVERAGES are asked for
-again, as CALC1 and CALC2, after RUN_ONCE."""
+"""Every message, in an order in which the instrument takes all of them."""
 
 
 class Settings(BaseModel):

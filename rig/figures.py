@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig import first_look
-from rig.run_reader import Run
+from rig.first_look import Records
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#7a3b8f", "backup": "#c2571a"}
 
 
-def draw(run: Run, folder: Path) -> list[Path]:
+def draw(records: Records, folder: Path) -> list[Path]:
     """Every figure that the run's records allow, written into `folder`; the paths."""
-    drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(run)) is not None]
+    drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(records)) is not None]
     if drawn:
         folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in drawn:
-        if run.header["simulated"]:
+        if records.header["simulated"]:
             figure.text(0.995, 0.005, "SIMULATED", ha="right", va="bottom", color="#b00020", fontsize=9, weight="bold")
         path = folder / f"{name}.svg"
         figure.savefig(path, metadata={"Date": None})
@@ -44,14 +44,14 @@ def _new(rows: int, height: float, title: str) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def response(run: Run) -> Figure | None:
+def response(records: Records) -> Figure | None:
     """Magnitude and phase of every driven channel against the vibrometer, over frequency."""
-    points = first_look.sine_points(run)
-    sensors = run.header["sensor"]["channels"]
+    points = first_look.sine_points(records)
+    sensors = records.header["sensor"]["channels"]
     driven = [point for point in points if sensors[point.channel]["axis"] == point.axis]
     if not driven:
         return None
-    figure, (magnitude, phase) = _new(2, 6.0, f"{run.header['title']}: response, no uncertainty yet")
+    figure, (magnitude, phase) = _new(2, 6.0, f"{records.header['title']}: response, no uncertainty yet")
     for channel in sorted({point.channel for point in driven}):
         for level, marker in (("full", "o"), ("quarter", "x"), ("half", "s"), ("eighth", "+")):
             mine = sorted((p for p in driven if p.channel == channel and p.level == level), key=lambda p: p.frequency)
@@ -79,32 +79,32 @@ def _plain_ticks(ax: Any) -> None:
     ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def rotation(run: Run) -> Figure | None:
+def rotation(records: Records) -> Figure | None:
     """Gyro volts over a turntable run, phase by phase."""
-    bodies = [body for body in run.points().values() if "phase" in body]
+    bodies = [body for body in records.points.values() if "phase" in body]
     if not bodies:
         return None
     axis = bodies[0]["gyro_axis"]
-    figure, axes = _new(2, 5.5, f"{run.header['title']}: raw output of the gyros")
+    figure, axes = _new(2, 5.5, f"{records.header['title']}: raw output of the gyros")
     for ax, name in zip(axes, (f"gyro_{axis}", f"backup_{axis}"), strict=True):
         for body in bodies:
-            samples = first_look.samples_of(run, body["samples"])
+            samples = records.samples(body["samples"])
             seconds, volts = _thinned(samples.instants(name) + samples.start, samples.volts(name))
-            ax.plot((seconds - run.header["started"]), volts, linewidth=0.7, color=COLOURS[name.split("_")[0]])
+            ax.plot((seconds - records.header["started"]), volts, linewidth=0.7, color=COLOURS[name.split("_")[0]])
         ax.set_ylabel(f"{name} / V")
     axes[-1].set_xlabel("bench time since the run began / s")
     return figure
 
 
-def density(run: Run) -> Figure | None:
+def density(records: Records) -> Figure | None:
     """Noise density of the sensors at rest."""
     from scipy.signal import welch
 
-    bodies = [e.body for e in run.lines() if e.kind == "point" and e.body.get("purpose") == "noise"]
+    bodies = [e.body for e in records.lines if e.kind == "point" and e.body.get("purpose") == "noise"]
     if not bodies:
         return None
-    figure, (ax,) = _new(1, 4.5, f"{run.header['title']}: noise density at the converter")
-    samples = first_look.samples_of(run, bodies[0]["samples"])
+    figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: noise density at the converter")
+    samples = records.samples(bodies[0]["samples"])
     rate = samples.timing.scan_rate
     for name, colour in (
         ("unit_a_x", "unit_a"),
@@ -129,12 +129,12 @@ def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
     return centre, [float(np.sqrt(power[place == k].mean())) * 1e6 for k in used]
 
 
-def poses(run: Run) -> Figure | None:
+def poses(records: Records) -> Figure | None:
     """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
-    lines = first_look.tumble_lines(run)
+    lines = first_look.tumble_lines(records)
     if not lines:
         return None
-    figure, (ax,) = _new(1, 4.5, f"{run.header['title']}: residual of the straight line against gravity")
+    figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: residual of the straight line against gravity")
     for line in lines:
         milli_g = line.residuals / line.slope / first_look.STANDARD_GRAVITY * 1e3
         ax.plot(range(1, len(milli_g) + 1), milli_g, "o-", markersize=3, linewidth=0.6, color=COLOURS[line.channel[:6]])
@@ -152,7 +152,7 @@ def _thinned(x: Any, y: Any, most: int = 4000) -> tuple[Any, Any]:
     return x[:whole].reshape(-1, step).mean(axis=1), y[:whole].reshape(-1, step).mean(axis=1)
 
 
-_FIGURES: dict[str, Callable[[Run], Figure | None]] = {
+_FIGURES: dict[str, Callable[[Records], Figure | None]] = {
     "response": response,
     "rotation": rotation,
     "noise": density,

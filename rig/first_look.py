@@ -44,29 +44,55 @@ class Row:
     basis: str
 
 
-def samples_of(run: Run, name: str) -> Samples:
-    """The record behind a block name, as Samples; pieces of a long record are joined. KeyError if there is none."""
-    parts = run.blocks()[name]
-    meta = parts[0].meta
-    channels = tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"])
-    return Samples(
-        counts=run.block(name),
-        channels=channels,
-        timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
-        start=float(meta["start"]),
-        first_scan=int(meta["first_scan"]),
-        flags=frozenset(meta["flags"]),
-    )
+class Records:
+    """A run's journal read once, and its records as Samples."""
+
+    def __init__(self, run: Run) -> None:
+        self.run, self.header = run, run.header
+        self.lines, self.points, self._blocks = list(run.lines()), run.points(), run.blocks()
+
+    def samples(self, name: str) -> Samples:
+        """The record behind a block name; pieces of a long record are joined. KeyError if there is none."""
+        parts = self._blocks[name]
+        meta = parts[0].meta
+        channels = tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"])
+        pieces = [self.run.read(part) for part in parts]
+        return Samples(
+            counts=pieces[0] if len(pieces) == 1 else np.concatenate(pieces),
+            channels=channels,
+            timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
+            start=float(meta["start"]),
+            first_scan=int(meta["first_scan"]),
+            flags=frozenset(meta["flags"]),
+        )
+
+    def cube(self, name: str) -> CubeSamples:
+        """The Sensor Cube's own frames behind a block name."""
+        meta = self._blocks[name][0].meta
+        frames = self.run.block(f"{name}-frames")
+        return CubeSamples(
+            names=tuple(meta["names"]),
+            counts=self.run.block(name),
+            sequence=frames[:, 0],
+            device_us=frames[:, 1],
+            flags=frames[:, 2].astype(np.uint16),
+            supply=frames[:, 3].astype(np.uint16),
+            temperature=frames[:, 4].astype(np.uint16),
+            gaps=int(meta["gaps"]),
+            bad_frames=int(meta["bad_frames"]),
+            rate=float(meta["rate"]),
+            start=float(meta["start"]),
+        )
 
 
-def sine_points(run: Run) -> list[SinePoint]:
+def sine_points(records: Records) -> list[SinePoint]:
     """Response of every accelerometer channel at every sine point that the converter recorded."""
     found: list[SinePoint] = []
-    sensors = run.header["sensor"]["channels"]
-    for body in run.points().values():
+    sensors = records.header["sensor"]["channels"]
+    for body in records.points.values():
         if "frequency" not in body or "samples" not in body:
             continue
-        samples = samples_of(run, body["samples"])
+        samples = records.samples(body["samples"])
         for name, sensor in sensors.items():
             if sensor["quantity"] == "acceleration" and any(c.name == name for c in samples.channels):
                 found.append(_sine_point(samples, body, name))
@@ -81,10 +107,10 @@ def _sine_point(samples: Samples, body: Mapping[str, Any], name: str) -> SinePoi
     return SinePoint(name, str(body["axis"]), frequency, str(body["level"]), complex(sensor.amplitude / acceleration))
 
 
-def sweep_rows(run: Run, points: list[SinePoint]) -> list[Row]:
+def sweep_rows(records: Records, points: list[SinePoint]) -> list[Row]:
     """Plain sensitivity of the driven channels: mean magnitude up to 50 Hz, or at the lowest frequency there is."""
     rows = []
-    sensors = run.header["sensor"]["channels"]
+    sensors = records.header["sensor"]["channels"]
     for axis in sorted({point.axis for point in points}):
         for name, sensor in sensors.items():
             mine = [p for p in points if p.channel == name and p.axis == axis and sensor["axis"] == axis]
@@ -97,24 +123,24 @@ def sweep_rows(run: Run, points: list[SinePoint]) -> list[Row]:
     return rows
 
 
-def static_means(run: Run) -> Iterator[tuple[Mapping[str, Any], dict[str, float], dict[str, float]]]:
+def static_means(records: Records) -> Iterator[tuple[Mapping[str, Any], dict[str, float], dict[str, float]]]:
     """For every static record: its journal body, the mean and the standard deviation of each channel, V."""
-    for entry in run.lines():
+    for entry in records.lines:
         if entry.kind in ("point", "step") and "purpose" in entry.body and "samples" in entry.body:
-            samples = samples_of(run, entry.body["samples"])
+            samples = records.samples(entry.body["samples"])
             names = [channel.name for channel in samples.channels]
             means = {name: float(samples.volts(name).mean()) for name in names}
             yield entry.body, means, {name: float(samples.volts(name).std()) for name in names}
 
 
-def turntable_rows(run: Run) -> list[Row]:
+def turntable_rows(records: Records) -> list[Row]:
     """Plain gyro sensitivity: (mean volts turning − mean volts at rest) ÷ whole-revolution mean rate of the encoder."""
-    rest = {name: value for _, means, _ in static_means(run) for name, value in means.items()}
+    rest = {name: value for _, means, _ in static_means(records) for name, value in means.items()}
     rows = []
-    for body in run.points().values():
+    for body in records.points.values():
         if body.get("phase") != "hold" or not rest:
             continue
-        samples = samples_of(run, body["samples"])
+        samples = records.samples(body["samples"])
         for name in (f"gyro_{body['gyro_axis']}", f"backup_{body['gyro_axis']}"):
             inside = _between(samples, name, body["first_index"], body["last_index"])
             # about the gyro's own axis: upside down it sees the platter turn the other way
@@ -139,15 +165,15 @@ class Line:
     residuals: NDArray[np.float64]
 
 
-def tumble_lines(run: Run) -> list[Line]:
+def tumble_lines(records: Records) -> list[Line]:
     """Least squares of volts on the component of "up", with offset, for every accelerometer channel."""
-    poses = [(body, means) for body, means, _ in static_means(run) if body["purpose"] == "pose"]
-    ups = _pose_directions(run)
+    poses = [(body, means) for body, means, _ in static_means(records) if body["purpose"] == "pose"]
+    ups = _pose_directions(records)
     if len(poses) < 6 or len(ups) != len(poses):
         return []
-    gravity = gravity_of(run)
+    gravity = gravity_of(records)
     lines = []
-    for name, sensor in run.header["sensor"]["channels"].items():
+    for name, sensor in records.header["sensor"]["channels"].items():
         if sensor["quantity"] != "acceleration" or name not in poses[0][1]:
             continue
         component = np.array([up["xyz".index(sensor["axis"])] for up in ups]) * gravity
@@ -157,59 +183,45 @@ def tumble_lines(run: Run) -> list[Line]:
     return lines
 
 
-def tumble_rows(run: Run) -> list[Row]:
+def tumble_rows(records: Records) -> list[Row]:
     """Plain accelerometer sensitivity against gravity."""
     return [
         Row(line.channel, line.slope, "V/(m/s²)", f"straight line, {len(line.residuals)} poses against gravity")
-        for line in tumble_lines(run)
+        for line in tumble_lines(records)
     ]
 
 
-def _pose_directions(run: Run) -> list[tuple[float, float, float]]:
-    asked = [e.body["settings"] for e in run.lines() if e.kind == "confirmed" and e.body["action"] == "pose"]
+def _pose_directions(records: Records) -> list[tuple[float, float, float]]:
+    asked = [e.body["settings"] for e in records.lines if e.kind == "confirmed" and e.body["action"] == "pose"]
     return [(float(s["up_x"]), float(s["up_y"]), float(s["up_z"])) for s in asked]
 
 
-def gravity_of(run: Run) -> float:
+def gravity_of(records: Records) -> float:
     """Local gravity from the run's standards, m/s²; standard gravity if the bench has no such standard."""
     from rig import units
 
-    for standard in run.header["standards"]:
+    for standard in records.header["standards"]:
         if standard["standard"] == "gravity":
             return units.parse(standard["values"]["gravity"]["value"], "acceleration")
     return STANDARD_GRAVITY
 
 
-def noise_rows(run: Run) -> list[Row]:
+def noise_rows(records: Records) -> list[Row]:
     """Standard deviation of each channel at rest, V."""
     return [
         Row(name, deviation, "V rms", f"{body['seconds']:g} s at rest")
-        for body, _, deviations in static_means(run)
+        for body, _, deviations in static_means(records)
         if body["purpose"] == "noise"
         for name, deviation in deviations.items()
-        if name in run.header["sensor"]["channels"]
+        if name in records.header["sensor"]["channels"]
     ]
 
 
-def rows_of(run: Run) -> list[Row]:
+def rows_of(records: Records) -> list[Row]:
     """The table of a run, whatever kinds of measurement are in it."""
-    return [*sweep_rows(run, sine_points(run)), *turntable_rows(run), *tumble_rows(run), *noise_rows(run)]
-
-
-def cube_of(run: Run, name: str) -> CubeSamples:
-    """The Sensor Cube's own frames behind a block name."""
-    meta = run.blocks()[name][0].meta
-    frames = run.block(f"{name}-frames")
-    return CubeSamples(
-        names=tuple(meta["names"]),
-        counts=run.block(name),
-        sequence=frames[:, 0],
-        device_us=frames[:, 1],
-        flags=frames[:, 2].astype(np.uint16),
-        supply=frames[:, 3].astype(np.uint16),
-        temperature=frames[:, 4].astype(np.uint16),
-        gaps=int(meta["gaps"]),
-        bad_frames=int(meta["bad_frames"]),
-        rate=float(meta["rate"]),
-        start=float(meta["start"]),
-    )
+    return [
+        *sweep_rows(records, sine_points(records)),
+        *turntable_rows(records),
+        *tumble_rows(records),
+        *noise_rows(records),
+    ]

@@ -10,7 +10,8 @@ import numpy as np
 from rig.bench import at_shaker
 from rig.bench.station import Station, samples_meta
 from rig.bench.steps import Ask, Static, Wait
-from rig.record import CubeSamples
+from rig.record import CubeSamples, Samples
+from rig.run_writer import BlockStream
 
 CHUNK = 1.0  # s; nothing longer than this is held in memory
 
@@ -56,33 +57,52 @@ def static(step: Static, station: Station) -> dict[str, Any]:
     return body
 
 
+class _Taken:
+    """What was taken of a record so far; it goes to disk as it comes."""
+
+    def __init__(self, station: Station, name: str) -> None:
+        self._station, self._name = station, name
+        self._stream: BlockStream | None = None
+        self._sums = np.zeros(2)
+        self.scans, self.start = 0, 0.0
+
+    def add(self, samples: Samples) -> None:
+        with self._station.watch("storage"):
+            if self._stream is None:
+                self._stream = self._station.journal.block_stream(self._name, samples_meta(samples))
+                self.start = samples.start
+            self._stream.append(samples.counts)
+        found = self._station.conditions(samples)
+        means = [found.get("supply", math.nan), found.get("temperature", math.nan)]
+        self._sums += np.array(means) * len(samples.counts)
+        self.scans += len(samples.counts)
+
+    def keep(self) -> None:
+        """Close what was taken, so that it survives whatever comes next."""
+        if self._stream is not None:
+            with self._station.watch("storage"):
+                self._stream.close()
+
+    def said(self) -> dict[str, Any]:
+        supply, temperature = (self._sums / max(self.scans, 1)).tolist()
+        conditions = {"supply": supply, "temperature": temperature}
+        return {"samples": self._name, "scans": self.scans, "start": self.start, "conditions": conditions}
+
+
 def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
     timing = station.recorder.configure(rate=station.description.file.rate, channels=station.channels())
     scans = math.ceil(step.seconds * timing.scan_rate - 1e-9)
+    chunk = math.ceil(CHUNK * timing.scan_rate)
     station.recorder.start(scans)
-    taken, stream, sums, start = 0, None, np.zeros(2), 0.0
-    while taken < scans:
-        station.guard.beat(within=30.0)
-        with station.watch("instruments"):
-            samples = station.recorder.read(min(scans - taken, math.ceil(CHUNK * timing.scan_rate)))
-        with station.watch("storage"):
-            if stream is None:
-                stream, start = station.journal.block_stream(name, samples_meta(samples)), samples.start
-            stream.append(samples.counts)
-        found = station.conditions(samples)
-        sums += np.array([found.get("supply", math.nan), found.get("temperature", math.nan)]) * len(samples.counts)
-        taken += len(samples.counts)
-        station.progress(f"{step.label} {taken / timing.scan_rate:.0f} of {step.seconds:.0f} s")
-    if stream is not None:
-        with station.watch("storage"):
-            stream.close()
-    supply, temperature = (sums / max(taken, 1)).tolist()
-    return {
-        "samples": name,
-        "scans": taken,
-        "start": start,
-        "conditions": {"supply": supply, "temperature": temperature},
-    }
+    taken = _Taken(station, name)
+    try:
+        while taken.scans < scans:
+            station.guard.beat(within=30.0)
+            taken.add(station.read(min(scans - taken.scans, chunk)))
+            station.progress(f"{step.label} {taken.scans / timing.scan_rate:.0f} of {step.seconds:.0f} s")
+    finally:
+        taken.keep()
+    return taken.said()
 
 
 def store_cube(station: Station, name: str, samples: CubeSamples) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def _acquire(step: Sine, station: Station) -> tuple[Samples | None, Response | N
         response = station.analyzer.finish_measurement()
     _trusted(station)
     if station.keeps("recorder"):
-        samples = station.recorder.read(step.scans)
+        samples = station.read(step.scans)
     return samples, response
 
 

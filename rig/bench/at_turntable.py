@@ -46,8 +46,7 @@ class WatchedRecord:
         """Take the next stretch; gives the record's length (s) and the revolutions that it completed."""
         station = self._station
         station.guard.beat(within=30.0)
-        with station.watch("instruments"):
-            samples = station.recorder.read(self._scans)
+        samples = station.read(self._scans)
         self._keep(samples)
         with station.watch("analysis"):
             completed = self._decoded(samples)
@@ -59,12 +58,14 @@ class WatchedRecord:
         """Whether the platter has come to rest."""
         return bool(self._station.turntable.at_rest(self._edges, self.now))
 
-    def close(self) -> dict[str, Any]:
-        """End the record; what to write of it in the journal."""
-        self._station.recorder.stop()
+    def keep(self) -> None:
+        """Close what was taken so far, so that it survives whatever comes next."""
         if self._stream is not None:
             with self._station.watch("storage"):
                 self._stream.close()
+
+    def said(self) -> dict[str, Any]:
+        """What to write of the record in the journal."""
         return {
             "samples": self.name,
             "scans": self.taken,
@@ -107,8 +108,9 @@ def spin(step: Spin, station: Station) -> dict[str, Any]:
     try:
         found = _PHASES[step.phase](step, station, record)
     finally:
-        body = record.close()
-    return {**common, **body, **found}
+        record.keep()
+    station.recorder.stop()
+    return {**common, **record.said(), **found}
 
 
 def _spin_up(step: Spin, station: Station, record: WatchedRecord) -> dict[str, Any]:

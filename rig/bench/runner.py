@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -20,6 +20,7 @@ from rig.bench.guard import Guard
 from rig.bench.roles import Energises
 from rig.bench.station import Drive, Station, Stopwatch
 from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
+from rig.bench.transcript import RunTranscript
 from rig.errors import BadInput, Terminated, VerdictNotMet, WorkFailed
 from rig.run_writer import RunWriter
 
@@ -71,10 +72,11 @@ def run(order: Order) -> Outcome:
 
     Raises what the steps raise; VerdictNotMet also closes the run as `aborted`.
     """
-    with _stoppable(), Guard.start() as guard, connected(order.description, order.runs, _needed(order)) as bench:
+    with _attended(order) as (guard, bench, transcript):
         overdue = _refuse_beforehand(order, bench)
         runs = Runs(order.runs, now=bench.room.clock.now)
         with runs.create(order.plan.procedure, _header(order, bench, overdue), order.label) as writer:
+            transcript.attach(writer.path)
             return _Carrying(order, bench, guard, writer).carry_out(done=frozenset())
 
 
@@ -83,16 +85,30 @@ def resume(order: Order, name: str) -> Outcome:
 
     Raises BadInput if the bench is not that of the run, VerdictNotMet if the repeated point differs.
     """
-    with _stoppable(), Guard.start() as guard, connected(order.description, order.runs, _needed(order)) as bench:
+    with _attended(order) as (guard, bench, transcript):
         _refuse_beforehand(order, bench)
         runs = Runs(order.runs, now=bench.room.clock.now)
         old = runs.open(name)
         _refuse_other_bench(old.header, bench)
         steps = {int(e.body["index"]): e.body for e in old.lines() if e.kind in ("step", "point")}
         with runs.reopen(name) as writer:
+            transcript.attach(writer.path)
             carrying = _Carrying(order, bench, guard, writer)
             carrying.expected = {e.body["role"]: e.body["settings"] for e in old.lines() if e.kind == "settings"}
             return carrying.carry_out(done=frozenset(steps), recorded=steps)
+
+
+@contextmanager
+def _attended(order: Order) -> Iterator[tuple[Guard, Bench, RunTranscript]]:
+    """The guard beside us, the instruments connected, and every exchange written down; undone in the other order."""
+    transcript = RunTranscript()
+    with (
+        _stoppable(),
+        Guard.start() as guard,
+        closing(transcript),
+        connected(order.description, order.runs, _needed(order), transcript=transcript) as bench,
+    ):
+        yield guard, bench, transcript
 
 
 def _needed(order: Order) -> Callable[[str], bool]:

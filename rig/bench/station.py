@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.bench.benchfile import BenchDescription
 from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
-from rig.errors import BadInput
+from rig.errors import BadInput, InstrumentError
 from rig.record import Samples
 from rig.room import Confirmation, Request, Room
 from rig.run_writer import RunWriter
@@ -29,18 +29,24 @@ class Heartbeat(Protocol):
 
 
 class Stopwatch:
-    """Real time spent on each kind of work, s."""
+    """Real time spent on each kind of work, s; work inside work of the same kind is counted once."""
 
     def __init__(self) -> None:
-        self.seconds: Counter[str] = Counter()
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._busy: set[str] = set()
 
     @contextmanager
     def __call__(self, kind: str) -> Iterator[None]:
+        if kind in self._busy:
+            yield
+            return
+        self._busy.add(kind)
         begun = time.perf_counter()
         try:
             yield
         finally:
-            self.seconds[kind] += time.perf_counter() - begun  # type: ignore[assignment]
+            self._busy.remove(kind)
+            self.seconds[kind] += time.perf_counter() - begun
 
 
 @dataclass
@@ -140,6 +146,17 @@ class Station:
         if request.action == "cables":
             self.cables = str(request.settings["set"])
         return confirmation
+
+    def read(self, scans: int) -> Samples:
+        """The recorder's next scans; if the record ends early, what arrived becomes a block before the error goes on."""
+        try:
+            with self.watch("instruments"):
+                return self.recorder.read(scans)
+        except InstrumentError:
+            rest = self.recorder.received()
+            if len(rest.counts):
+                self.journal.note("partial", samples=self.store(f"{self.step}-partial", rest).name)
+            raise
 
     def store(self, name: str, samples: Samples) -> Any:
         """Close one stretch of raw counts as a block; returns the block's reference."""

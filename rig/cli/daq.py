@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rig.cli.options import json_option
+from rig.cli.options import json_option, print_json
 
 
 @click.group(short_help="The acquisition service on the PC-104 machine.")
@@ -14,24 +14,25 @@ def daq() -> None:
 
 @daq.command()
 @click.option("--device", default="/dev/comedi0", show_default=True, help="comedi device of the board.")
+@click.option("--serial", default="not stated", show_default=True, help="Serial number on the board's label.")
 @click.option("--library", default="libcomedi.so.0", show_default=True, help="comedi library.")
 @click.option(
     "--host", default="127.0.0.1", show_default=True, help="Address to listen on; use a private interface only."
 )
 @click.option("--port", default=30431, show_default=True, type=click.IntRange(0, 65535))
 @json_option
-def serve(device: str, library: str, host: str, port: int, as_json: bool) -> None:
+def serve(device: str, library: str, serial: str, host: str, port: int, as_json: bool) -> None:
     """Serve the board over TCP until Ctrl-C."""
     import importlib
 
-    from rig.bench.clock import SystemClock
-    from rig.bench.operators import TerminalOperator
-    from rig.room import Room
-
-    clock = SystemClock()
     comedi = importlib.import_module("drivers.comedi")
     service = importlib.import_module("drivers.daq_service")
-    board = comedi.connect(
-        "board", comedi.Settings(device=device, library=library), Room(clock, TerminalOperator(clock))
-    )
-    service.run(board, host, port, announce=lambda line: click.echo(line), as_json=as_json)
+
+    def announce(where: str, control: int) -> None:
+        if as_json:
+            print_json({"host": where, "port": control, "device": device})
+        else:
+            click.echo(f"serving {device} at {where}:{control} until Ctrl-C; next, on the laptop: rig bench check")
+
+    board = comedi.open_board("board", comedi.Settings(device=device, library=library, serial=serial))
+    service.serve(board, host, port, announce=announce)

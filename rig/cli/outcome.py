@@ -26,8 +26,9 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     from rig.figures import draw
 
     run = Runs(order.runs).open(done.name)
-    rows = first_look.rows_of(run)
-    figure = draw(run, order.runs / "reports" / run.name)
+    records = first_look.Records(run)
+    rows = first_look.rows_of(records)
+    figure = draw(records, order.runs / "reports" / run.name)
     missed = _unmet(order.plan, rows)
     if as_json:
         print_json(
@@ -69,7 +70,7 @@ def run_as_text(run: Run, rows: list[Row] | None = None) -> str:
         f"run {run.name}{mark}",
         f"  {run.header['title']}: {summary['status']}, {summary['points_done']} of {summary['points_total']} points",
     ]
-    rows = first_look.rows_of(run) if rows is None else rows
+    rows = first_look.rows_of(first_look.Records(run)) if rows is None else rows
     if rows:
         lines += ["", *table(rows), f"  ({CAVEAT})"]
     return "\n".join(lines)

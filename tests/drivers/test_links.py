@@ -596,6 +596,27 @@ def test_visa_reaches_a_serial_line_too(line, room) -> None:
         answer.join()
 
 
+def test_a_gateway_on_a_serial_port_works_the_same(line, room) -> None:
+    rule, done = Adapter(), threading.Event()
+
+    def serve() -> None:
+        rest = b""
+        while not done.is_set():
+            *lines, rest = (rest + line.hear()).split(b"\n")
+            for heard in lines:
+                line.say(bytes(rule(heard) or b""))
+
+    server = threading.Thread(target=serve, daemon=True)
+    server.start()
+    gateway = f"PRLGX-ASRL::{line.path}::INTFC"
+    with closing(VisaLink.open("analyzer", "GPIB::19::INSTR", gateway=gateway, timeout=5.0, room=room)) as link:
+        assert link.query("*IDN?") == "*IDN? from 19"
+        assert link.poll() == 80
+        done.set()
+        link.write("the last")
+    server.join()
+
+
 # ------------------------------------------------------------------------------------------------------- the parser
 
 

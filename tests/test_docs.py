@@ -1,0 +1,104 @@
+"""The documentation says what is true: its commands run, its links lead somewhere, and no command is left out."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rig.bench import control
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+RUNNABLE = [ROOT / "README.md", *sorted((DOCS / "tutorial").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
+CONSOLE = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of a page, where it stands, and the exit code that the page promises."""
+
+    line: int
+    text: str
+    code: int
+
+    @property
+    def words(self) -> list[str]:
+        """The words as a shell would split them, with `rig` from this environment."""
+        rig, *rest = shlex.split(self.text)
+        assert rig == "rig"
+        return [sys.executable, "-m", "rig", *rest]
+
+
+def commands(page: str) -> Iterator[Command]:
+    """The lines `$ rig …` of all console blocks, in order; `# exit 2` at the end promises that exit code."""
+    for block in CONSOLE.finditer(page):
+        first = page.count("\n", 0, block.start(1)) + 1
+        for number, line in enumerate(block[1].splitlines(), start=first):
+            if line.startswith("$ rig "):
+                text, _, promise = line.removeprefix("$ ").partition("  # exit ")
+                yield Command(number, text, int(promise or 0))
+
+
+def targets(page: Path) -> Iterator[str]:
+    """Relative links of a page, without the part behind `#`, outside code blocks."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for target in LINK.findall(text):
+        if not re.match(r"[a-z]+:|#", target):
+            yield target.partition("#")[0]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """The environment of a reader who keeps runs in a folder of their own."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
+    return {**ours, "RIG_RUNS": str(folder / "runs"), "OPENBLAS_NUM_THREADS": "1"}
+
+
+def prose(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in RUNNABLE if any(commands(page.read_text(encoding="utf-8")))], ids=prose
+)
+def test_every_command_of_a_page_ends_as_the_page_says(page: Path, tmp_path: Path) -> None:
+    try:
+        for command in commands(page.read_text(encoding="utf-8")):
+            done = subprocess.run(
+                command.words, cwd=tmp_path, env=environment(tmp_path), capture_output=True, text=True, timeout=60
+            )
+            said = f"{prose(page)}:{command.line}: {command.text}\n{done.stdout}{done.stderr}"
+            assert done.returncode == command.code, said
+    finally:
+        control.stop(tmp_path / "runs" / ".bench" / "simulated")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=prose)
+def test_every_relative_link_of_a_page_leads_to_a_file(page: Path) -> None:
+    missing = [target for target in targets(page) if not (page.parent / target).exists()]
+    assert not missing
+
+
+def test_the_reference_names_every_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "rig", "--help"], capture_output=True, text=True, check=True)
+    names = re.findall(r"^  ([a-z]+)  ", done.stdout.partition("Commands:")[2], re.MULTILINE)
+    reference = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
+    assert names
+    assert not [name for name in names if f"`rig {name}" not in reference]
+
+
+def test_a_promised_exit_code_is_read_and_other_blocks_are_left_alone() -> None:
+    page = "```text\n$ rig resume last\n```\n\n```console\n$ rig runs\nno runs\n$ rig sweep --axis x --stop 5  # exit 2\n```\n"
+    assert [(c.line, c.text, c.code) for c in commands(page)] == [
+        (6, "rig runs", 0),
+        (8, "rig sweep --axis x --stop 5", 2),
+    ]

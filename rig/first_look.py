@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import tone
-from rig.record import Channel, CubeSamples, Samples, Timing
+from rig.record import Channel, CubeSamples, Samples, Timing, Traces
 from rig.run_reader import Run
 
 STANDARD_GRAVITY = 9.80665
+Signal = tuple[NDArray[np.float64], NDArray[np.float64]]  # instants s, volts
 LOW = 50.0  # Hz; below it a 400 Hz output filter takes less than 0.8 % of the amplitude
 
 
@@ -66,6 +67,19 @@ class Records:
             flags=frozenset(meta["flags"]),
         )
 
+    def signals(self, body: Mapping[str, Any]) -> Iterator[tuple[str, Signal]]:
+        """Instants (s) and volts of every channel of one point: the converter's, else the oscilloscope's."""
+        if "samples" in body:
+            samples = self.samples(body["samples"])
+            for channel in samples.channels:
+                yield channel.name, (samples.instants(channel.name), samples.volts(channel.name))
+        elif "traces" in body:
+            meta = self._blocks[body["traces"]][0].meta
+            volts = self.run.block(body["traces"])
+            traces = Traces(tuple(meta["names"]), volts, float(meta["start"]), float(meta["interval"]))
+            for name, row in zip(traces.names, traces.volts, strict=True):
+                yield name, (traces.instants(), row)
+
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""
         meta = self._blocks[name][0].meta
@@ -90,19 +104,16 @@ def sine_points(records: Records) -> list[SinePoint]:
     found: list[SinePoint] = []
     sensors = records.header["sensor"]["channels"]
     for body in records.points.values():
-        if "frequency" not in body or "samples" not in body:
-            continue
-        samples = records.samples(body["samples"])
-        for name, sensor in sensors.items():
-            if sensor["quantity"] == "acceleration" and any(c.name == name for c in samples.channels):
-                found.append(_sine_point(samples, body, name))
+        if "frequency" in body:
+            signals = dict(records.signals(body))
+            names = [n for n, sensor in sensors.items() if sensor["quantity"] == "acceleration" and n in signals]
+            found += [_sine_point(signals, body, name) for name in names if "ldv" in signals]
     return found
 
 
-def _sine_point(samples: Samples, body: Mapping[str, Any], name: str) -> SinePoint:
+def _sine_point(signals: Mapping[str, Signal], body: Mapping[str, Any], name: str) -> SinePoint:
     frequency = float(body["frequency"])
-    reference = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), frequency)
-    sensor = tone.fit_three(samples.instants(name), samples.volts(name), frequency)
+    reference, sensor = (tone.fit_three(*signals[channel], frequency) for channel in ("ldv", name))
     acceleration = 2j * math.pi * frequency * reference.amplitude * float(body["scale"])
     return SinePoint(name, str(body["axis"]), frequency, str(body["level"]), complex(sensor.amplitude / acceleration))
 

@@ -129,6 +129,10 @@ class Traces:
     interval: float
     clipped: tuple[int, ...] = ()
 
+    def instants(self) -> NDArray[np.float64]:
+        """Sampling instants from the trigger, s, shape (n,)."""
+        return np.asarray(self.start + self.interval * np.arange(self.volts.shape[1]), np.float64)
+
 
 @dataclass(frozen=True)
 class ClockFit:

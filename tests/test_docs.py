@@ -97,7 +97,8 @@ def test_the_reference_names_every_command() -> None:
 
 
 def test_a_promised_exit_code_is_read_and_other_blocks_are_left_alone() -> None:
-    page = "```text\n$ rig resume last\n```\n\n```console\n$ rig runs\nno runs\n$ rig sweep --axis x --stop 5  # exit 2\n```\n"
+    left_alone = "```text\n$ rig resume last\n```\n\n"
+    page = left_alone + "```console\n$ rig runs\nno runs\n$ rig sweep --axis x --stop 5  # exit 2\n```\n"
     assert [(c.line, c.text, c.code) for c in commands(page)] == [
         (6, "rig runs", 0),
         (8, "rig sweep --axis x --stop 5", 2),

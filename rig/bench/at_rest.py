@@ -10,7 +10,7 @@ import numpy as np
 from rig.bench import at_shaker
 from rig.bench.station import Station, samples_meta
 from rig.bench.steps import Ask, Static, Wait
-from rig.record import CubeSamples, Samples
+from rig.record import Samples
 from rig.run_writer import BlockStream
 
 CHUNK = 1.0  # s; nothing longer than this is held in memory
@@ -52,7 +52,7 @@ def static(step: Static, station: Station) -> dict[str, Any]:
     if station.keeps("recorder") or step.cables == "turntable":
         body |= _converter(step, station, name)
     if with_cube:
-        body |= store_cube(station, name, station.cube.read(step.seconds))
+        body |= station.store_cube(name, station.cube.read(step.seconds))
         station.cube.stop()
     return body
 
@@ -103,31 +103,3 @@ def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
     finally:
         taken.keep()
     return taken.said()
-
-
-def store_cube(station: Station, name: str, samples: CubeSamples) -> dict[str, Any]:
-    """The cube's own frames as two blocks: raw counts, and what came with each frame."""
-    meta = {
-        "kind": "cube",
-        "names": list(samples.names),
-        "rate": samples.rate,
-        "start": samples.start,
-        "gaps": samples.gaps,
-        "bad_frames": samples.bad_frames,
-    }
-    if samples.clock is not None:
-        fit = samples.clock
-        meta["clock"] = {
-            "offset": fit.offset,
-            "rate_error": fit.rate_error,
-            "u_offset": fit.u_offset,
-            "u_rate": fit.u_rate,
-        }
-    frames = np.column_stack(
-        [samples.sequence, samples.device_us, samples.flags, samples.supply, samples.temperature]
-    ).astype(np.int64)
-    with station.watch("storage"):
-        station.journal.block(f"{name}-cube", samples.counts, meta)
-        columns = ["sequence", "device_us", "flags", "supply", "temperature"]
-        station.journal.block(f"{name}-cube-frames", frames, {"kind": "cube_frames", "columns": columns})
-    return {"cube": f"{name}-cube", "cube_gaps": samples.gaps, "cube_bad_frames": samples.bad_frames}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from rig import tone
 from rig.bench.station import Station
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
 from rig.errors import SignalLow, SignalOverload, VerdictNotMet
-from rig.record import Response, Samples, Traces
+from rig.record import CubeSamples, Response, Samples, Traces
 
 FIRST_APPROACH = 0.1  # share of the wanted drive at the very first point, until the drive constant is known
 CLOSE_ENOUGH = 0.05  # a level within 5 % of its target is not repeated
@@ -22,6 +23,16 @@ ANALYZER_AVERAGES = 2
 SCOPE_RECORD = 0.5  # s, ten divisions
 SENSOR_REST = 1.65  # V; half the supply of a 2 g unit
 SENSOR_INPUT = 4.0  # V; half the supply plus the signal of a 2 g unit, DC coupled
+
+
+@dataclass(frozen=True)
+class Captured:
+    """What each recorder kept of one sine point; None from those that keep nothing."""
+
+    samples: Samples | None
+    response: Response | None
+    traces: Traces | None
+    cube: CubeSamples | None
 
 
 def prepare(station: Station) -> None:
@@ -72,13 +83,13 @@ def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
         station.room.clock.sleep(step.settle)
         station.vibrometer.check(require=False)  # the over-range latch may hold what the change of drive did
         before = _trusted(station)
-        samples, response = _acquire(step, station)
-        traces = station.scope.capture() if station.keeps("scope") else None
+        captured = _acquire(step, station)
         after = _trusted(station)
-    if response is not None and response.overloads:
-        raise SignalOverload("analyzer", step.label, wanted="inputs in range", received=", ".join(response.overloads))
+    if captured.response is not None and captured.response.overloads:
+        found = ", ".join(captured.response.overloads)
+        raise SignalOverload("analyzer", step.label, wanted="inputs in range", received=found)
     with station.watch("analysis"):
-        volts = _reference_volts(step, samples, response, traces)
+        volts = _reference_volts(step, captured)
     return {
         "frequency": step.frequency,
         "level": step.level,
@@ -91,7 +102,7 @@ def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
         "velocity": volts * scale,
         "acceleration": volts * scale * 2.0 * math.pi * step.frequency,
         "drive_constant": volts * scale / (2.0 * math.pi * step.frequency) / amplitude,
-        **_stored(step, station, samples, response, traces),
+        **_stored(step, station, captured),
     }
 
 
@@ -111,9 +122,12 @@ def _move(station: Station, frequency: float, amplitude: float) -> None:
     drive.frequency, drive.amplitude, drive.on = frequency, amplitude, True
 
 
-def _acquire(step: Sine, station: Station) -> tuple[Samples | None, Response | None]:
-    """The converter and the analyzer look at the same stretch of motion."""
-    samples = response = None
+def _acquire(step: Sine, station: Station) -> Captured:
+    """Every recorder that keeps data looks at the same stretch of motion; the oscilloscope at the stretch after it."""
+    samples = response = cube = None
+    if station.keeps("cube"):
+        station.cube.configure()
+        station.cube.start()
     if station.keeps("recorder"):
         station.recorder.start(step.scans)
     if station.keeps("analyzer"):
@@ -122,7 +136,11 @@ def _acquire(step: Sine, station: Station) -> tuple[Samples | None, Response | N
     _trusted(station)
     if station.keeps("recorder"):
         samples = station.read(step.scans)
-    return samples, response
+    if station.keeps("cube"):
+        cube = station.cube.read(step.scans / station.description.file.rate)
+        station.cube.stop()
+    traces = station.scope.capture() if station.keeps("scope") else None
+    return Captured(samples, response, traces, cube)
 
 
 def _trusted(station: Station) -> Any:
@@ -130,31 +148,32 @@ def _trusted(station: Station) -> Any:
     return station.vibrometer.check(require=True)
 
 
-def _reference_volts(step: Sine, samples: Samples | None, response: Response | None, traces: Traces | None) -> float:
+def _reference_volts(step: Sine, captured: Captured) -> float:
     """Amplitude of the reference channel at the driven frequency, V."""
+    samples, traces = captured.samples, captured.traces
     if samples is not None:
         fitted = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
-        return abs(fitted.amplitude)
-    if traces is not None:
-        instants = traces.start + traces.interval * np.arange(traces.volts.shape[1])
-        return abs(tone.fit_three(instants, traces.volts[0], step.frequency).amplitude)
-    raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
+    elif traces is not None:
+        fitted = tone.fit_three(traces.instants(), traces.volts[traces.names.index("ldv")], step.frequency)
+    else:
+        raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
+    return abs(fitted.amplitude)
 
 
-def _stored(
-    step: Sine, station: Station, samples: Samples | None, response: Response | None, traces: Traces | None
-) -> dict[str, Any]:
+def _stored(step: Sine, station: Station, captured: Captured) -> dict[str, Any]:
     body: dict[str, Any] = {}
     name = station.block_name(step.label)
+    samples, response, traces = captured.samples, captured.response, captured.traces
     if samples is not None:
         body["samples"] = station.store(name, samples).name
         body["conditions"] = station.conditions(samples)
         body["clipped"] = {c.name: n for c in samples.channels if (n := samples.clipped(c.name))}
+    if captured.cube is not None:
+        body |= station.store_cube(name, captured.cube)
     with station.watch("storage"):
         if response is not None:
-            body["response"] = station.journal.block(
-                f"{name}-response", _columns(response), response_meta(response)
-            ).name
+            block = station.journal.block(f"{name}-response", _columns(response), response_meta(response))
+            body["response"] = block.name
         if traces is not None:
             body["traces"] = station.journal.block(f"{name}-traces", traces.volts, traces_meta(traces)).name
     return body

@@ -7,15 +7,16 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.bench.benchfile import BenchDescription
 from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
 from rig.errors import BadInput, InstrumentError
-from rig.record import Samples
+from rig.record import CubeSamples, Samples
 from rig.room import Confirmation, Request, Room
 from rig.run_writer import RunWriter
 
@@ -148,7 +149,7 @@ class Station:
         return confirmation
 
     def read(self, scans: int) -> Samples:
-        """The recorder's next scans; if the record ends early, what arrived becomes a block before the error goes on."""
+        """The recorder's next scans; if the record ends early, what arrived is closed as a block first."""
         try:
             with self.watch("instruments"):
                 return self.recorder.read(scans)
@@ -162,6 +163,17 @@ class Station:
         """Close one stretch of raw counts as a block; returns the block's reference."""
         with self.watch("storage"):
             return self.journal.block(name, samples.counts, samples_meta(samples))
+
+    def store_cube(self, name: str, samples: CubeSamples) -> dict[str, Any]:
+        """The cube's own frames as two blocks: raw counts, and what came with each frame."""
+        columns: list[NDArray[Any]] = [samples.sequence, samples.device_us]
+        columns += [samples.flags, samples.supply, samples.temperature]
+        frames = np.column_stack(columns).astype(np.int64)
+        named = ["sequence", "device_us", "flags", "supply", "temperature"]
+        with self.watch("storage"):
+            self.journal.block(f"{name}-cube", samples.counts, cube_meta(samples))
+            self.journal.block(f"{name}-cube-frames", frames, {"kind": "cube_frames", "columns": named})
+        return {"cube": f"{name}-cube", "cube_gaps": samples.gaps, "cube_bad_frames": samples.bad_frames}
 
     def block_name(self, label: str) -> str:
         """The name of a step's block: its number and its label in letters, digits, dots and dashes."""
@@ -177,6 +189,19 @@ class Station:
         if "temperature" in names:
             found["temperature"] = float(samples.volts("temperature").mean() / 0.010)
         return found
+
+
+def cube_meta(samples: CubeSamples) -> dict[str, Any]:
+    """What turns a block of the cube's counts back into CubeSamples."""
+    meta: dict[str, Any] = {
+        "kind": "cube",
+        "names": list(samples.names),
+        "rate": samples.rate,
+        "start": samples.start,
+        "gaps": samples.gaps,
+        "bad_frames": samples.bad_frames,
+    }
+    return meta if samples.clock is None else meta | {"clock": asdict(samples.clock)}
 
 
 def samples_meta(samples: Samples) -> dict[str, Any]:

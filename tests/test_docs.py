@@ -19,7 +19,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 RUNNABLE = [ROOT / "README.md", *sorted((DOCS / "tutorial").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
-CONSOLE = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CONSOLE = re.compile(r"^ *```console\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
+WRITTEN = re.compile(r"^```yaml\n# (\w+\.yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -44,14 +45,20 @@ def commands(page: str) -> Iterator[Command]:
     for block in CONSOLE.finditer(page):
         first = page.count("\n", 0, block.start(1)) + 1
         for number, line in enumerate(block[1].splitlines(), start=first):
-            if line.startswith("$ rig "):
-                text, _, promise = line.removeprefix("$ ").partition("  # exit ")
+            if line.strip().startswith("$ rig "):
+                text, _, promise = line.strip().removeprefix("$ ").partition("  # exit ")
                 yield Command(number, text, int(promise or 0))
+
+
+def write_files(page: str, folder: Path) -> None:
+    """Files that the page tells its reader to write: YAML blocks that begin with a comment naming the file."""
+    for block in WRITTEN.finditer(page):
+        (folder / block[1]).write_text(block[2], encoding="utf-8")
 
 
 def targets(page: Path) -> Iterator[str]:
     """Relative links of a page, without the part behind `#`, outside code blocks."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     for target in LINK.findall(text):
         if not re.match(r"[a-z]+:|#", target):
             yield target.partition("#")[0]
@@ -71,8 +78,10 @@ def prose(page: Path) -> str:
     "page", [page for page in RUNNABLE if any(commands(page.read_text(encoding="utf-8")))], ids=prose
 )
 def test_every_command_of_a_page_ends_as_the_page_says(page: Path, tmp_path: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    write_files(text, tmp_path)
     try:
-        for command in commands(page.read_text(encoding="utf-8")):
+        for command in commands(text):
             done = subprocess.run(
                 command.words, cwd=tmp_path, env=environment(tmp_path), capture_output=True, text=True, timeout=60
             )

@@ -127,11 +127,10 @@ def _print_report(report: dict[str, Any]) -> None:
 @bench_option
 @runs_option
 @json_option
-@click.option("--seed", type=click.IntRange(min=0), help="World seed [default: the bench file's].")
 @click.option(
     "--hidden-seed", type=click.IntRange(min=0), help="Hide one effect, drawn with this seed, until `rig bench reveal`."
 )
-def serve(bench: Path | None, runs: Path, as_json: bool, seed: int | None, hidden_seed: int | None) -> None:
+def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None) -> None:
     """Serve the simulated bench until Ctrl-C, so that any program can talk to it."""
     from rig.bench import assembly, control
     from rig.bench.benchfile import describe
@@ -143,7 +142,7 @@ def serve(bench: Path | None, runs: Path, as_json: bool, seed: int | None, hidde
         raise BadInput(f"{description.path.name}: found a bench of real instruments, wanted a simulated one")
     state = assembly.state_folder(description, runs)
     world = description.beside(simulated.world)
-    addresses = control.ensure_served(world, simulated.seed if seed is None else seed, state, hidden_seed, idle=0)
+    addresses = control.ensure_served(world, simulated.seed, state, hidden_seed, idle=0)
     if as_json:
         print_json(addresses)
     else:

@@ -6,6 +6,8 @@ V       := .venv
 # One thread per process: on a small machine BLAS threads slow everything down.
 export OPENBLAS_NUM_THREADS ?= 1
 export UV_PYTHON_DOWNLOADS = never
+# The machine's own certificates: a laboratory network may have its own authority.
+export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test check bench lock clean
 

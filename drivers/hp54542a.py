@@ -235,7 +235,8 @@ class HP54542A:
         found: list[str] = []
         for _ in range(ERRORS_AT_MOST):
             reply = self._link.query(ERROR)
-            if int(self._numbers(ERROR, reply.split(",")[0], 1)[0]) == 0:
+            number = reply.split(",")[0].split(" ")[-1]  # with headers on, the command comes first
+            if int(self._numbers(ERROR, number, 1)[0]) == 0:
                 break
             found.append(reply)
         return found

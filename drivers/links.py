@@ -23,6 +23,8 @@ import select
 import socket
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol
@@ -389,7 +391,7 @@ class VisaLink:
 
     def write(self, text: str) -> None:
         """Send one message that has no reply. Raises Disconnected."""
-        with self.lock:
+        with self._exchange():
             self._send(text, reading=False)
 
     def query(self, text: str) -> str:
@@ -397,7 +399,7 @@ class VisaLink:
 
         Raises NoAnswer, BadReply, Disconnected.
         """
-        with self.lock:
+        with self._exchange():
             self._send(text, reading=True)
             reply = self._line(text)
             self._note_received(reply)
@@ -408,7 +410,7 @@ class VisaLink:
 
         Raises NoAnswer (silence, also in mid-block, with what came), BadReply (not a block), Disconnected.
         """
-        with self.lock:
+        with self._exchange():
             self._send(text, reading=True)
             reply, (start, end) = self._block(text)
             self._note_received(bytes(reply))
@@ -419,12 +421,24 @@ class VisaLink:
 
         Where the transport has no serial poll (raw sockets, serial lines) the byte comes from `*STB?`.
         """
-        with self.lock:
+        with self._exchange():
             if self._gateway is not None:
                 return self._adapter_poll()
             if isinstance(self._stream, _MessageStream):
                 return self._transport_poll()
             return self._status(self.query("*STB?"), "*STB?")
+
+    @contextmanager
+    def _exchange(self) -> Iterator[None]:
+        """One whole exchange. After a Ctrl-C inside, its reply must not answer the next one."""
+        with self.lock:
+            try:
+                yield
+            except InstrumentError:
+                raise  # whoever raised it has said whether anything is still to come
+            except BaseException:
+                self._mark_unsettled()
+                raise
 
     def clear(self) -> None:
         """Device clear: the instrument drops what it was doing for the bus, its parser and output become empty."""
@@ -575,11 +589,14 @@ class VisaLink:
     ) -> InstrumentError:
         if isinstance(received, bytes):
             self._note_received(received)
+        self._mark_unsettled()
+        return kind(self.instrument, self.address, sent=sent, received=received, wanted=wanted)
+
+    def _mark_unsettled(self) -> None:
         if self._gateway is not None:
             self._gateway.unsettled.add(self._bus_address)
         else:
             self._unsettled = True
-        return kind(self.instrument, self.address, sent=sent, received=received, wanted=wanted)
 
     def _gone(self, sent: bytes | str, gone: _LineError, received: bytes = b"") -> Disconnected:
         if received:

@@ -66,6 +66,9 @@ class Control:
             except (OSError, ValueError) as error:
                 self._drop()
                 raise BenchUnreachable(f"{self}: asked {request['do']!r}, {_reason(error)}") from error
+            except BaseException:  # Ctrl-C: the answer under way must not answer the next request
+                self._drop()
+                raise
 
     def close(self) -> None:
         """Close the connection; the bench keeps running until it has been idle for long enough."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rig import config
@@ -20,8 +18,9 @@ from rig.bench.guard import Guard
 from rig.bench.roles import Energises
 from rig.bench.station import Drive, Station, Stopwatch
 from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
+from rig.bench.stopping import stoppable, uninterrupted
 from rig.bench.transcript import RunTranscript
-from rig.errors import BadInput, Terminated, VerdictNotMet, WorkFailed
+from rig.errors import BadInput, VerdictNotMet, WorkFailed
 from rig.run_writer import RunWriter
 
 PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
@@ -103,7 +102,7 @@ def _attended(order: Order) -> Iterator[tuple[Guard, Bench, RunTranscript]]:
     """The guard beside us, the instruments connected, and every exchange written down; undone in the other order."""
     transcript = RunTranscript()
     with (
-        _stoppable(),
+        stoppable(),
         Guard.start() as guard,
         closing(transcript),
         connected(order.description, order.runs, _needed(order), transcript=transcript) as bench,
@@ -274,7 +273,7 @@ class _Carrying:
 
     def _end(self, status: str | None, error: BaseException | None) -> None:
         """The safe action first, then the seal. Without confirmation of the safe action the guard stays armed."""
-        with _uninterrupted():
+        with uninterrupted():
             for instrument in self._bench.instruments.values():
                 if isinstance(instrument, Energises):
                     instrument.make_safe()
@@ -335,30 +334,3 @@ def carry_out_step(step: Step, station: Station) -> dict[str, Any]:
         case Wait():
             return at_rest.wait(step, station)
     raise WorkFailed(f"found a step of kind {type(step).__name__}, wanted one that the bench knows")
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """SIGTERM and SIGHUP unwind like Ctrl-C does, through every `finally`."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated(signal.Signals(number).name)
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """A second Ctrl-C may skip tidying, never the safe action, which takes a bounded time."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -134,6 +134,7 @@ def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None
     """Serve the simulated bench until Ctrl-C, so that any program can talk to it."""
     from rig.bench import assembly, control
     from rig.bench.benchfile import describe
+    from rig.bench.stopping import stoppable
     from rig.errors import BadInput
 
     description = describe(bench_path(bench))
@@ -142,18 +143,20 @@ def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None
         raise BadInput(f"{description.path.name}: found a bench of real instruments, wanted a simulated one")
     state = assembly.state_folder(description, runs)
     world = description.beside(simulated.world)
-    addresses = control.ensure_served(world, simulated.seed, state, hidden_seed, idle=0)
+    addresses = control.ensure_served(world, simulated.seed, state, hidden_seed)
     if as_json:
         print_json(addresses)
     else:
         for name, address in addresses.items():
             click.echo(f"{name:<9} {address}")
         click.echo("serving until Ctrl-C; next, elsewhere: rig sweep --axis x, or any VISA program")
-    try:
-        while control.served(state) is not None:
-            time.sleep(1.0)
-    finally:
-        control.stop(state)
+    # The open connection is what keeps the bench: it ends by itself soon after we are gone, however we go.
+    with stoppable(), control.Control(int(str(addresses["control"]))) as held:
+        try:
+            while held.ask("hello")["ok"]:
+                time.sleep(1.0)
+        finally:
+            control.stop(state)
 
 
 @bench.command()

@@ -43,12 +43,13 @@ class Settings(BaseModel):
 
 def expand(settings: Settings, facts: BenchFacts) -> Plan:
     """Steps of the run; `all` gives both speeds in both senses."""
+    mistakes = tuple(_mistakes(settings, facts))
     return Plan(
         procedure=settings.procedure,
         title=settings.title or f"Turntable, {settings.axis}, {settings.speed / RPM:.4g} rpm",
         settings=settings.model_dump(mode="json"),
-        steps=tuple(_steps(settings)),
-        mistakes=tuple(_mistakes(settings, facts)),
+        steps=() if mistakes else tuple(_steps(settings)),
+        mistakes=mistakes,
     )
 
 

@@ -62,6 +62,8 @@ def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[F
     at = ("instruments", role)
     try:
         module = load_driver(str(entry.get("driver", "")))
+        if not hasattr(module, "Settings"):
+            raise ImportError(f"found '{entry['driver']}', wanted a driver with Settings and connect")
     except ImportError as error:
         return None, [document.problem((*at, "driver"), str(error))]
     own = _without_driver(document, at)

@@ -57,7 +57,8 @@ class StandardValue(Strict):
     @field_validator("value", "expanded_uncertainty")
     @classmethod
     def _readable(cls, text: str, info: Any) -> str:
-        units.parse(text, info.data["kind"])
+        if "kind" in info.data:  # else the kind itself is the mistake
+            units.parse(text, info.data["kind"])
         return text
 
 
@@ -105,14 +106,14 @@ class BenchFile(Strict):
     simulated: Simulated | None = None
     clock: Literal["system", "bench"]
     operator: str = Field(description="terminal, bench, or the path of an answers file")
-    mains: Frequency
-    rate: Frequency
+    mains: Frequency = Field(gt=0)
+    rate: Frequency = Field(gt=0)
     sensors: str
     standards: tuple[str, ...]
     recorders: tuple[Literal["recorder", "analyzer", "scope", "cube"], ...] = Field(min_length=1)
     shaker: ShakerFile
     limits: LimitFile
-    filter_cutoff: Frequency = 5000.0
+    filter_cutoff: Frequency = Field(default=5000.0, gt=0)
     instruments: dict[str, dict[str, str | float | int | bool | dict[str, str]]]
     cables: dict[Literal["shaker", "turntable"], tuple[str, ...]]
 

@@ -14,9 +14,12 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag
 from rig import config
 from rig.bench.steps import Ask, BenchFacts, Mistake, Plan, Step, Wait
 from rig.document import Document, KeyPath
-from rig.errors import ConfigError
+from rig.errors import ConfigError, Problem
 from rig.room import Request
 from rig.units import Time
+
+# How the reader tells kinds apart; none of them is a key, so that a mistake's path is never taken for one.
+PROMPT, WAIT, REPEAT, SEQUENCE = "a prompt", "a wait", "a repetition", "a sequence"
 
 
 class Prompt(BaseModel):
@@ -46,7 +49,7 @@ def _kind(value: Any) -> str | None:
         value = dict(value)
     if not isinstance(value, Mapping):
         return None
-    for key, tag in (("steps", "repeat" if "repeat" in value else "sequence"), ("prompt", "prompt"), ("wait", "wait")):
+    for key, tag in (("repeat", REPEAT), ("steps", SEQUENCE), ("prompt", PROMPT), ("wait", WAIT)):
         if key in value:
             return tag
     name = value.get("procedure")
@@ -57,7 +60,7 @@ def _kind(value: Any) -> str | None:
 def file_model() -> type[RootModel[Any]]:
     """What a procedure file may hold; also the source of its JSON schema."""
     kinds = {name: module.Settings for name, module in procedures().items()}
-    leaves: dict[str, Any] = {**kinds, "prompt": Prompt, "wait": WaitItem}
+    leaves: dict[str, Any] = {**kinds, PROMPT: Prompt, WAIT: WaitItem}
     strict = ConfigDict(extra="forbid", frozen=True)
     times: Any = Annotated[int, Field(ge=1, le=1000)]
     repeat = create_model(
@@ -72,9 +75,9 @@ def file_model() -> type[RootModel[Any]]:
         __doc__="Procedures, prompts, waits and repetitions, one after another in one run.",
         __config__=strict,
         title=(str, ""),
-        steps=(_list({**leaves, "repeat": repeat}), ...),
+        steps=(_list({**leaves, REPEAT: repeat}), ...),
     )
-    whole: Any = RootModel[_any_of({**kinds, "sequence": sequence})]  # type: ignore[misc]
+    whole: Any = RootModel[_any_of({**kinds, SEQUENCE: sequence})]  # type: ignore[misc]
     return cast(type[RootModel[Any]], create_model("ProcedureFile", __base__=whole))
 
 
@@ -90,13 +93,34 @@ def _list(members: Mapping[str, Any]) -> Any:
 
 def plan(document: Document, facts: BenchFacts) -> Plan:
     """The plan that a document means on this bench; raises ConfigError with every mistake at its line and column."""
+    unknown = list(_unknown(document, document.data, ()))
+    if unknown:
+        raise ConfigError(unknown)
     loaded, problems = config.check(document, file_model())
     if loaded is None:
         raise ConfigError(problems)
     made = _plan(loaded.root, facts)
     if made.mistakes:
-        raise ConfigError([document.problem(mistake.path, mistake.text) for mistake in made.mistakes])
+        once = dict.fromkeys(made.mistakes)  # a repetition makes the same mistake every time
+        raise ConfigError([document.problem(mistake.path, mistake.text) for mistake in once])
     return made
+
+
+def _unknown(document: Document, value: Any, path: KeyPath) -> Iterator[Problem]:
+    """Items whose kind cannot be told, wherever they are nested."""
+    kind = _kind(value)
+    known = sorted(procedures())
+    if kind is None:
+        text = "found no procedure" if isinstance(value, Mapping) and "procedure" not in value else f"found {value!r}"
+        others = "steps" if not path else "prompt, wait or repeat with steps"
+        yield document.problem(
+            (*path, "procedure"), f"{text}, wanted procedure: one of {', '.join(known)}; or {others}"
+        )
+    elif kind in (SEQUENCE, REPEAT) and isinstance(value.get("steps"), list):
+        for number, item in enumerate(value["steps"]):
+            yield from _unknown(document, item, (*path, "steps", number))
+    elif kind not in (*known, PROMPT, WAIT, REPEAT, SEQUENCE):
+        yield document.problem((*path, "procedure"), f"found '{kind}', wanted one of {', '.join(known)}")
 
 
 def _plan(item: Any, facts: BenchFacts) -> Plan:

@@ -160,7 +160,7 @@ def test_an_overdue_standard_is_refused_with_its_certificate_and_what_would_help
     description = describe(SHIPPED)
     with pytest.raises(StandardOverdue, match=r"vibrometer .*EX-LDV-2026-014.*found due 2027-03-02.*--allow-overdue"):
         description.refuse_overdue(at("2027-06-01"), override=False)
-    assert description.refuse_overdue(at("2027-06-01"), override=True) == ["vibrometer"]
+    assert description.refuse_overdue(at("2027-06-01"), override=True) == ["vibrometer", "time_base"]
     assert description.refuse_overdue(at("2026-06-01"), override=True) == []
 
 

@@ -92,7 +92,7 @@ def test_nested_mistakes_of_type_stand_at_their_own_line_and_key() -> None:
         "mine.yaml:2:24 steps[0].lenght",
         "mine.yaml:3:13 steps[1].repeat",
         "mine.yaml:5:15 steps[1].steps[0].wait",
-        "mine.yaml:6:39 steps[1].steps[1].axis",
+        "mine.yaml:6:38 steps[1].steps[1].axis",
     ]
     assert "did you mean 'length'?" in lines[0]
 

@@ -226,6 +226,9 @@ def test_a_fault_gives_one_clear_error_and_the_bench_at_rest(bench: Bench, fault
     if bench.json("runs"):
         assert bench.json("verify", "last")["sound"]
         assert bench.json("show", "last")["status"] in ("interrupted", "aborted")
+        stopped = [entry.body["reason"] for entry in Runs(bench.runs).open("last").lines() if entry.kind == "stopped"]
+        assert len(stopped) == 1
+        assert stopped[0] in error
 
 
 def test_damaged_frames_of_the_cube_are_counted_and_not_filled(bench: Bench, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from rig.bench.station import Drive, Station, Stopwatch
 from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
 from rig.bench.stopping import stoppable, uninterrupted
 from rig.bench.transcript import RunTranscript
-from rig.errors import BadInput, VerdictNotMet, WorkFailed
+from rig.errors import BadInput, InstrumentError, VerdictNotMet, WorkFailed
 from rig.run_writer import RunWriter
 
 PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
@@ -273,17 +273,25 @@ class _Carrying:
 
     def _end(self, status: str | None, error: BaseException | None) -> None:
         """The safe action first, then the seal. Without confirmation of the safe action the guard stays armed."""
-        with uninterrupted():
-            for instrument in self._bench.instruments.values():
-                if isinstance(instrument, Energises):
-                    instrument.make_safe()
-            self._guard.disarm()
+        try:
+            self._make_safe()
+        except InstrumentError as unsafe:
+            self._writer.note("not_safe", reason=str(unsafe), left_to="the guard")
+            if error is None:
+                raise
         if error is not None:
             self._writer.note("stopped", error=type(error).__name__, reason=str(error))
         if status == "completed":
             self._writer.seal("completed")
         elif status == "aborted":
             self._writer.seal("aborted", str(error))
+
+    def _make_safe(self) -> None:
+        with uninterrupted():
+            for instrument in self._bench.instruments.values():
+                if isinstance(instrument, Energises):
+                    instrument.make_safe()
+            self._guard.disarm()
 
     def _report(self, label: str) -> None:
         steps = self._order.plan.steps

@@ -124,7 +124,8 @@ def test_mistakes_inside_a_sequence_are_named_at_their_own_lines(tmp_path: Path)
     lines = refused(
         tmp_path,
         "title: mine\nsteps:\n  - prompt: Ready?\n  - {procedure: noise, length: 0 s}\n"
-        "  - repeat: 2\n    steps:\n      - {procedure: turntable, speed: 78 rpm}\n      - {procedure: tumble, record: 2 h}\n",
+        "  - repeat: 2\n    steps:\n      - {procedure: turntable, speed: 78 rpm}\n"
+        "      - {procedure: tumble, record: 2 h}\n",
     )
     assert sorted(set(starts(lines, tmp_path))) == [
         "4:32 steps[1].length",

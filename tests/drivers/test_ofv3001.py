@@ -100,12 +100,22 @@ class KnownWorld:
         self.events.append((event, details))
 
 
+class HearingTwin(OFV3001):
+    """The twin, counting the bytes that have reached it."""
+
+    heard = 0
+
+    def receive(self, data: bytes) -> bytes:
+        self.heard += len(data)
+        return super().receive(data)
+
+
 class Bench:
     """World, twin, a line in a thread of its own, and the driver at its end."""
 
     def __init__(self, kind: str, **settings: Any) -> None:
         self.world = KnownWorld()
-        self.twin = OFV3001(self.world)
+        self.twin = HearingTwin(self.world)
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever)
         self.thread.start()
@@ -133,7 +143,15 @@ class Bench:
         return float(self.call(lambda: self.world.now))
 
     def sleep(self, seconds: float) -> None:
-        self.call(lambda: self.world.advance(seconds))
+        """Let time pass once everything that was sent has been heard: the line and this clock are two ways."""
+
+        async def pass_time() -> None:
+            over = self.loop.time() + 2.0
+            while self.twin.heard < sum(map(len, self.sent)) and self.loop.time() < over:
+                await asyncio.sleep(0)
+            self.world.advance(seconds)
+
+        asyncio.run_coroutine_threadsafe(pass_time(), self.loop).result(10)
 
     def ask(self, request: Request) -> Confirmation:
         raise AssertionError("nobody is asked")

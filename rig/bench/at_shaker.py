@@ -230,6 +230,7 @@ def align(step: AlignBeam, station: Station) -> dict[str, Any]:
 
 def set_filter(step: SetFilter, station: Station) -> dict[str, Any]:
     """The operator sets the filter, and its response at three frequencies says what it really is."""
+    station.guard.beat(within=3600.0)  # a person turns the knobs; nothing is energised yet
     confirmation = station.filter.configure(
         mode=step.mode, cutoff=step.cutoff, response=step.response, gain_db=step.gain_db
     )

@@ -60,8 +60,10 @@ def fittings(description: BenchDescription) -> dict[str, Fitting]:
 
 def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[Fitting | None, list[Problem]]:
     at = ("instruments", role)
+    if "driver" not in entry:
+        return None, [document.problem((*at, "driver"), "found nothing, wanted a driver's name such as 'hp89410a'")]
     try:
-        module = load_driver(str(entry.get("driver", "")))
+        module = load_driver(str(entry["driver"]))
         if not hasattr(module, "Settings"):
             raise ImportError(f"found '{entry['driver']}', wanted a driver with Settings and connect")
     except ImportError as error:

@@ -15,6 +15,8 @@ from rig.bench.steps import BenchFacts, Limits
 from rig.errors import StandardOverdue
 from rig.units import Acceleration, Frequency, Length, PeakVoltage, Velocity
 
+Role = Literal["analyzer", "scope", "recorder", "vibrometer", "cube", "filter", "encoder", "turntable"]
+
 
 class Strict(BaseModel):
     """Settings that refuse what they do not know."""
@@ -102,7 +104,7 @@ class SensorFile(Strict):
 class BenchFile(Strict):
     """A bench as its YAML file describes it; quantities are SI."""
 
-    bench: str
+    bench: str = Field(min_length=1)
     simulated: Simulated | None = None
     clock: Literal["system", "bench"]
     operator: str = Field(description="terminal, bench, or the path of an answers file")
@@ -114,7 +116,7 @@ class BenchFile(Strict):
     shaker: ShakerFile
     limits: LimitFile
     filter_cutoff: Frequency = Field(default=5000.0, gt=0)
-    instruments: dict[str, dict[str, str | float | int | bool | dict[str, str]]]
+    instruments: dict[Role, dict[str, str | float | int | bool | dict[str, str]]]
     cables: dict[Literal["shaker", "turntable"], tuple[str, ...]]
 
 

@@ -156,8 +156,8 @@ def test_mistakes_in_a_procedure_are_all_named_and_nothing_is_started(bench: Ben
 
 
 def test_without_runs_last_is_bad_input_and_so_is_an_unknown_run(bench: Bench) -> None:
-    bench.rig("show", "last", wanted=2)
-    bench.rig("resume", "nothing", wanted=2)
+    assert "found no run" in bench.rig("show", "last", wanted=2).stderr
+    assert "found no run" in bench.rig("resume", "nothing", wanted=2).stderr
 
 
 def test_an_expectation_that_is_not_met_is_exit_code_3(bench: Bench, tmp_path: Path) -> None:

@@ -37,13 +37,18 @@ check: $(V)/.dev ## style, types and import directions
 	@$(V)/bin/mypy
 	@$(V)/bin/lint-imports
 
-bench: $(V)/.dev ## the measured bars, printed as ratios
+$(V)/.oracle: requirements-bench.lock $(V)/.dev
+	@$(UV) pip install -q --python $(V)/bin/python --require-hashes -r requirements-bench.lock
+	@touch $@
+
+bench: $(V)/.oracle ## the measured bars, printed as ratios
 	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='bench_*.py' -p no:xdist
 
 lock: $(UV) ## renew the hashed locks (names no registry)
 	@$(UV) lock -q
 	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --no-dev --group build > requirements-run.lock
 	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build > requirements.lock
+	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build --group oracle > requirements-bench.lock
 
 clean:
 	@rm -rf .venv .tools runs .pytest_cache .mypy_cache .ruff_cache

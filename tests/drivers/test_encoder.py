@@ -11,7 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.encoder import Decoder, Encoder, Lines, Settings, Trigger, decode, edges
+from drivers.encoder import Encoder
+from rig.encoder import Decoder, Lines, Settings, Trigger, decode, edges
 from rig.record import Channel, Samples, Timing
 
 TIMING = Timing(20e-6, 16)

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from rig import config, units
 from rig.bench.steps import BenchFacts, Limits
 from rig.errors import StandardOverdue
-from rig.units import Acceleration, Frequency, Length, PeakVoltage, Velocity
+from rig.units import Acceleration, Angle, Frequency, Length, PeakVoltage, Ratio, Velocity, Voltage
 
 Role = Literal["analyzer", "scope", "recorder", "vibrometer", "cube", "filter", "encoder", "turntable"]
 
@@ -46,6 +46,18 @@ class LimitFile(Strict):
     stroke: Length = Field(gt=0)
     velocity: Velocity = Field(gt=0)
     source: PeakVoltage = Field(gt=0)
+
+
+class AlignmentFile(Strict):
+    """Limits of what is aligned by eye or by gauge: true values lie anywhere within ± these.
+
+    `beam` between laser beam and motion, `mount` between the cube's faces and drive, plumb line or platter axis,
+    `radius` of the cube's centre from the platter's axis.
+    """
+
+    beam: Angle = Field(ge=0)
+    mount: Angle = Field(ge=0)
+    radius: Length = Field(ge=0)
 
 
 class StandardValue(Strict):
@@ -86,6 +98,9 @@ class SensorChannel(Strict):
     sensitivity: str
     range: str
     bandwidth: Frequency
+    tolerance: Ratio | None = Field(default=None, description="of the sensitivity, either way: the limits of a verdict")
+    ratiometric: Voltage | None = Field(default=None, description="nominal supply, if the output follows the supply")
+    temperature_coefficient: Ratio | None = Field(default=None, description="of the sensitivity, per kelvin")
 
     @property
     def sensitivity_si(self) -> float:
@@ -116,6 +131,7 @@ class BenchFile(Strict):
     shaker: ShakerFile
     limits: LimitFile
     filter_cutoff: Frequency = Field(default=5000.0, gt=0)
+    alignment: AlignmentFile | None = Field(default=None, description="limits that a calibration's budget uses")
     instruments: dict[Role, dict[str, str | float | int | bool | dict[str, str]]]
     cables: dict[Literal["shaker", "turntable"], tuple[str, ...]]
 

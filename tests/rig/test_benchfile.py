@@ -65,12 +65,12 @@ def test_a_bench_file_says_its_facts_in_si() -> None:
     assert facts.has >= {"analyzer", "vibrometer", "recorder", "filter", "turntable", "encoder", "scope", "cube"}
 
 
-def test_simulated_and_hardware_differ_in_addresses_clock_operator_and_serial_numbers_only() -> None:
+def test_simulated_and_hardware_differ_in_addresses_clock_operator_cube_and_alignment_only() -> None:
     simulated, hardware = (
         yaml.safe_load(shipped(f"benches/{name}.yaml").read_text()) for name in ("simulated", "hardware")
     )
     different = {key for key in simulated if simulated[key] != hardware.get(key)}
-    assert different == {"bench", "simulated", "clock", "operator", "instruments"}
+    assert different == {"bench", "simulated", "clock", "operator", "instruments", "sensors", "alignment"}
     for role, entry in simulated["instruments"].items():
         keys = {key for key in entry if entry[key] != hardware["instruments"][role].get(key)}
         assert keys <= {"address", "gateway", "serial"}
@@ -123,7 +123,7 @@ def test_mistakes_in_a_file_that_the_bench_file_names_are_located_in_that_file(c
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("../sensors/sensor_cube.yaml", "none.yaml"), ("../standards/gravity.yaml", "none.yaml")]
+    ("old", "new"), [("../sensors/simulated_cube.yaml", "none.yaml"), ("../standards/gravity.yaml", "none.yaml")]
 )
 def test_a_named_file_that_is_not_there_is_a_mistake(changed: Change, old: str, new: str) -> None:
     (line,) = said(changed((old, new)))

@@ -1,0 +1,268 @@
+"""The digital calibration certificate: DCC 3.2.1 XML (PTB) with values in D-SI."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rig.certificate.document import COVERAGE, DECISION, Document, document, printable, standard_rows
+from rig.durable import write_whole
+from rig.errors import BadInput
+from rig.estimate.budget import coverage_factor
+from rig.estimate.calibration import PROBABILITY, Calibration, ResponsePoint, Result
+
+DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
+
+# SI unit: the same in D-SI
+UNITS = {
+    "V/(m/s²)": r"\volt\metre\tothe{-1}\second\tothe{2}",
+    "V/(rad/s)": r"\volt\radian\tothe{-1}\second",
+    "m/s²": r"\metre\second\tothe{-2}",
+    "rad/s": r"\radian\second\tothe{-1}",
+    "(m/s²)/√Hz": r"\metre\second\tothe{-1.5}",
+    "(rad/s)/√Hz": r"\radian\second\tothe{-0.5}",
+    "(m/s²)·√Hz": r"\metre\second\tothe{-2.5}",
+    "(rad/s)·√Hz": r"\radian\second\tothe{-1.5}",
+    "rad": r"\radian",
+    "s": r"\second",
+    "1": r"\one",
+    "V": r"\volt",
+    "Hz": r"\hertz",
+    "1/(m/s²)": r"\metre\tothe{-1}\second\tothe{2}",
+    "1/(rad/s)": r"\radian\tothe{-1}\second",
+    "1/(rad/s)²": r"\radian\tothe{-2}\second\tothe{2}",
+    "°C": r"\degreecelsius",
+}
+CONDITIONS = {"temperature": ("°C", "basic_temperature"), "supply": ("V", "basic_supplyVoltage")}
+
+
+def write_dcc(calibration: Calibration, path: Path) -> None:
+    """Write the certificate; raises BadInput for a unit without a D-SI form or a number that is not finite.
+
+    Value and expanded uncertainty are in SI, unrounded. The laboratory's and the customer's names are not known to
+    the program and say so.
+    """
+    write_whole(path, xml(calibration))
+
+
+def xml(calibration: Calibration) -> bytes:
+    """The certificate as XML in UTF-8."""
+    ET.register_namespace("dcc", DCC)
+    ET.register_namespace("si", SI)
+    words = document(calibration)
+    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion="3.2.1")
+    _administration(_add(root, "administrativeData"), words, calibration)
+    _measurement(_add(_add(root, "measurementResults"), "measurementResult"), words, calibration)
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True))
+
+
+def _add(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+    child = ET.SubElement(parent, f"{{{DCC}}}{tag}", attributes)
+    child.text = text
+    return child
+
+
+def _si(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
+    child = ET.SubElement(parent, f"{{{SI}}}{tag}")
+    child.text = text
+    return child
+
+
+def _text(parent: ET.Element, tag: str, *texts: str, **attributes: str) -> ET.Element:
+    child = _add(parent, tag, **attributes)
+    for text in texts:
+        _add(child, "content", printable(text, f"digital certificate: {tag}"), lang="en")
+    return child
+
+
+def _administration(data: ET.Element, words: Document, calibration: Calibration) -> None:
+    software = _add(_add(data, "dccSoftware"), "software")
+    _text(software, "name", calibration.program.get("name", "rig"))
+    _add(software, "release", calibration.program.get("version", "not stated"))
+    core = _add(data, "coreData")
+    for tag, value in (
+        ("countryCodeISO3166_1", "ZZ"),  # user-assigned: the country is not known
+        ("usedLangCodeISO639_1", "en"),
+        ("mandatoryLangCodeISO639_1", "en"),
+        ("uniqueIdentifier", words.identifier),
+        ("beginPerformanceDate", words.begun),
+        ("endPerformanceDate", words.ended),
+        ("performanceLocation", "laboratory"),
+    ):
+        _add(core, tag, value)
+    item = _add(_add(data, "items"), "item")
+    _text(item, "name", words.sensor)
+    _identification(item, "manufacturer", words.serial, "Serial number", "basic_serialNumber")
+    _contact(_add(_add(data, "calibrationLaboratory"), "contact"), "Laboratory not stated")
+    person = _add(_add(data, "respPersons"), "respPerson")
+    _text(_add(person, "person"), "name", "Not signed")
+    _add(person, "mainSigner", "true")
+    _contact(_add(data, "customer"), "Customer not stated")
+    _statements(_add(data, "statements"), words)
+
+
+def _identification(parent: ET.Element, issuer: str, value: str, name: str, kind: str) -> None:
+    one = _add(_add(parent, "identifications"), "identification", refType=kind)
+    _add(one, "issuer", issuer)
+    _add(one, "value", printable(value, f"digital certificate: {name}"))
+    _text(one, "name", name)
+
+
+def _contact(contact: ET.Element, name: str) -> None:
+    _text(contact, "name", name)
+    _text(_add(contact, "location"), "further", "not stated")
+
+
+def _statements(parent: ET.Element, words: Document) -> None:
+    for name, text in (("Uncertainty", COVERAGE), ("Decision rule", DECISION)):
+        _statement(parent, name, text)
+    for warning in words.warnings:
+        _statement(parent, "SIMULATED" if warning.startswith("SIMULATED") else "Warning", warning)
+    for remark in words.remarks:
+        _statement(parent, "Remark", remark)
+
+
+def _statement(parent: ET.Element, name: str, text: str) -> None:
+    one = _add(parent, "statement")
+    _text(one, "name", name)
+    _text(one, "declaration", text)
+
+
+def _measurement(measured: ET.Element, words: Document, calibration: Calibration) -> None:
+    _text(measured, "name", f"Calibration of {words.sensor}")
+    methods = _add(measured, "usedMethods")
+    for method in words.methods or ("not stated",):
+        _text(_add(methods, "usedMethod"), "name", method)
+    _equipment(measured, calibration)
+    _influences(measured, calibration)
+    results = _add(measured, "results")
+    for measurand in dict.fromkeys(r.measurand for r in calibration.results):
+        _group(results, measurand, [r for r in calibration.results if r.measurand == measurand])
+    for channel, points in calibration.responses.items():
+        if points:
+            _response(results, channel, points)
+
+
+def _equipment(measured: ET.Element, calibration: Calibration) -> None:
+    if not calibration.standards:
+        return
+    parent = _add(measured, "measuringEquipments")
+    for row in standard_rows(calibration):
+        one = _add(parent, "measuringEquipment", refType="basic_measurementStandard")
+        _text(one, "name", row["name"])
+        overdue = " USED PAST ITS DUE DATE BY EXPLICIT ORDER." if row["overdue"] else ""
+        stated = f"Certificate {row['certificate']} of {row['laboratory']}, due {row['due']}. {row['values']}".rstrip()
+        _text(one, "description", stated + overdue)
+        _add(one, "model", row["instrument"])
+        _identification(one, "manufacturer", row["serial"], "Serial number", "basic_serialNumber")
+
+
+def _influences(measured: ET.Element, calibration: Calibration) -> None:
+    known = [(name, values) for name, values in calibration.conditions.items() if name in CONDITIONS]
+    if not known:
+        return
+    parent = _add(measured, "influenceConditions")
+    for name, values in known:
+        unit, kind = CONDITIONS[name]
+        one = _add(parent, "influenceCondition", refType=kind)
+        _text(one, "name", name)
+        data = _add(one, "data")
+        for label, value in zip(("mean", "minimum", "maximum"), values, strict=True):
+            quantity = _add(data, "quantity")
+            _text(quantity, "name", label)
+            real = _si(quantity, "real")
+            _si(real, "value", _number(value, name))
+            _si(real, "unit", _unit(unit))
+
+
+def _group(results: ET.Element, measurand: str, group: Sequence[Result]) -> None:
+    one = _add(results, "result", refType=f"rig_{measurand}")
+    _text(one, "name", group[0].title)
+    data = _add(one, "data")
+    for result in group:
+        if result.determined:
+            _quantity(data, result)
+        else:  # a text, because readers of quantities want a number in each
+            _text(data, "text", f"{result.channel}: not determined: {'; '.join(result.remarks)}")
+
+
+def _quantity(data: ET.Element, result: Result) -> None:
+    quantity = _add(data, "quantity", refType="basic_measuredValue")
+    _text(quantity, "name", result.channel)
+    if result.remarks:
+        _text(quantity, "description", *result.remarks)
+    real = _si(quantity, "real")
+    _si(real, "label", result.key)
+    assert result.value is not None
+    _si(real, "value", _number(result.value, result.key))
+    _si(real, "unit", _unit(result.unit))
+    if result.budget is not None:
+        expanded = _si(real, "expandedUnc")
+        _si(expanded, "uncertainty", _number(result.expanded, result.key))
+        _si(expanded, "coverageFactor", _number(result.coverage_factor, result.key))
+        _si(expanded, "coverageProbability", f"{PROBABILITY}")
+        _si(expanded, "distribution", "normal" if math.isinf(result.dof) else "t")
+    if result.verdict is not None:
+        meta = _add(_add(quantity, "measurementMetaData"), "metaData", refType="basic_conformity")
+        _text(meta, "declaration", f"{result.verdict}, guard band w = U")
+        _add(meta, "conformity", _conformity(result))
+
+
+def _conformity(result: Result) -> str:
+    """Inconclusive is called conditional in the schema, pass or fail by the side on which the value itself lies."""
+    if result.verdict != "inconclusive":
+        return str(result.verdict)
+    value = result.value if result.value is not None else math.nan
+    low = -math.inf if result.low is None else result.low
+    high = math.inf if result.high is None else result.high
+    return "conditionalPass" if low <= value <= high else "conditionalFail"
+
+
+def _response(results: ET.Element, channel: str, points: Sequence[ResponsePoint]) -> None:
+    for level in dict.fromkeys(point.level for point in points):
+        chosen = [point for point in points if point.level == level]
+        one = _add(results, "result", refType="rig_frequencyResponse")
+        _text(one, "name", f"Frequency response of {channel}, level {level}")
+        rows = _add(_add(one, "data"), "list", refType="rig_frequencyResponse")
+        _series(rows, "Frequency", "basic_frequency", (p.frequency for p in chosen), "Hz")
+        _series(
+            rows,
+            "Magnitude",
+            "rig_magnitude",
+            (p.magnitude for p in chosen),
+            "V/(m/s²)",
+            [p.uc_magnitude for p in chosen],
+        )
+        _series(rows, "Phase", "rig_phase", (p.phase for p in chosen), "rad", [p.uc_phase for p in chosen])
+
+
+def _series(
+    rows: ET.Element, name: str, kind: str, values: Iterable[float], unit: str, uc: Sequence[float] | None = None
+) -> None:
+    quantity = _add(rows, "quantity", refType=kind)
+    _text(quantity, "name", name)
+    listed = _si(quantity, "realListXMLList")
+    _si(listed, "valueXMLList", " ".join(_number(value, name) for value in values))
+    _si(listed, "unitXMLList", _unit(unit))
+    if uc is not None:
+        k = coverage_factor(math.inf, PROBABILITY)
+        expanded = _si(listed, "expandedUncXMLList")
+        _si(expanded, "uncertaintyXMLList", " ".join(_number(k * u, name) for u in uc))
+        _si(expanded, "coverageFactorXMLList", _number(k, name))
+        _si(expanded, "coverageProbabilityXMLList", f"{PROBABILITY}")
+        _si(expanded, "distributionXMLList", "normal")
+
+
+def _number(value: float, where: str) -> str:
+    if not math.isfinite(value):
+        raise BadInput(f"digital certificate: {where}: found {value}, wanted a finite number")
+    return repr(float(value))
+
+
+def _unit(unit: str) -> str:
+    if unit not in UNITS:
+        raise BadInput(f"digital certificate: found the unit '{unit}', wanted one of {', '.join(UNITS)}")
+    return UNITS[unit]

@@ -1,0 +1,502 @@
+"""From runs to a calibration: sweeps, turntable runs, tumbles and records at rest of one unit, merged.
+
+Each kind of run contributes what it can determine; what no run determines is in the calibration too, with the run that
+would. Runs of different units or benches are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import units
+from rig.errors import BadInput
+from rig.estimate import accelerometers, gyros, paper_rows, resting, tumbling
+from rig.estimate.accelerometers import ChannelFit
+from rig.estimate.budget import Budget, Contribution
+from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
+from rig.estimate.resting import Resting
+from rig.estimate.rotating import Rotation, rotation_of
+from rig.estimate.verdict import verdict
+from rig.noise import coefficients
+from rig.records import Recorded, mounts, reference, signals
+from rig.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
+
+UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
+RANDOM_WALK = {"acceleration": "(m/s²)·√Hz", "rate": "(rad/s)·√Hz"}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What the data sheet says of one channel; SI."""
+
+    name: str
+    quantity: str
+    axis: str
+    nominal: float
+    bandwidth: float
+    tolerance: float | None
+    ratiometric: float | None
+    drift: float | None
+
+    @property
+    def unit(self) -> str:
+        """SI unit of what it senses."""
+        return "m/s²" if self.quantity == "acceleration" else "rad/s"
+
+
+def sensors_of(header: Mapping[str, Any]) -> dict[str, Sensor]:
+    """The unit's channels as the run's header describes them."""
+    found = {}
+    for name, stated in header["sensor"]["channels"].items():
+        kind = "sensitivity" if stated["quantity"] == "acceleration" else "rate_sensitivity"
+        found[name] = Sensor(
+            name, stated["quantity"], stated["axis"], units.parse(stated["sensitivity"], kind),
+            units.parse(stated["bandwidth"], "frequency"), _optional(stated, "tolerance", "ratio"),
+            _optional(stated, "ratiometric", "voltage"), _optional(stated, "temperature_coefficient", "ratio"),
+        )  # fmt: skip
+    return found
+
+
+def _optional(stated: Mapping[str, Any], key: str, kind: str) -> float | None:
+    return None if stated.get(key) is None else units.parse(stated[key], kind)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Declared limits: beam and mount angles, rad; radius, m."""
+
+    beam: float
+    mount: float
+    radius: float
+    declared: bool
+
+
+def alignment_of(header: Mapping[str, Any]) -> Alignment:
+    """Limits of the bench file; zero and marked as not declared if it has none."""
+    stated = header["bench_file"].get("alignment")
+    if stated is None:
+        return Alignment(0.0, 0.0, 0.0, False)
+    beam, mount = (units.parse(stated[name], "angle") for name in ("beam", "mount"))
+    return Alignment(beam, mount, units.parse(stated["radius"], "length"), True)
+
+
+def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None) -> Calibration:
+    """One calibration from all runs of a unit; `digests` are SHA-256 of the seals by run.
+
+    Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
+    determine nothing; StandardOverdue for a standard used past its date without an order.
+    """
+    header = _common_header(runs)
+    sensors = sensors_of(header)
+    poles = {name: sensor.bandwidth for name, sensor in sensors.items()}
+    bench = _Bench(runs, header, sensors, alignment_of(header), resting.noise_of(runs, sensors, poles))
+    shaken = _Shaken(bench)
+    turned = _Turned(bench)
+    results = [*shaken.results(), *turned.results(), *bench.noise_results(shaken, turned)]
+    results += _tumble_results(bench)
+    if not any(r.determined for r in results):
+        raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
+                       "a turntable run, a tumble or a noise record")  # fmt: skip
+    paper = [*paper_rows.of_sweep(shaken.points, runs, sensors), *paper_rows.of_turntable(runs, sensors)]
+    return Calibration(
+        name=name,
+        sensor=str(header["sensor"]["sensor"]),
+        serial=str(header["sensor"]["serial"]),
+        made=max(entry.t for records in runs for entry in records.lines),
+        simulated=any(records.header["simulated"] for records in runs),
+        sources=tuple(_source(records, (digests or {}).get(records.name, "")) for records in runs),
+        standards=tuple(header["standards"]),
+        conditions=resting.conditions_of(runs),
+        results=tuple(_judged(_ordered(results, sensors), sensors)),
+        responses=shaken.responses(),
+        paper=tuple(paper),
+        overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
+        flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags()])),
+        program={key: str(value) for key, value in header["program"].items()},
+    )
+
+
+def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
+    if not runs:
+        raise BadInput("calibrate: found no run, wanted at least one")
+    first = runs[0].header
+    for records in runs[1:]:
+        for key in ("sensor", "standards", "simulated"):
+            if records.header[key] != first[key]:
+                raise BadInput(f"{records.name}: found another {key} than in {runs[0].name}, wanted runs of one unit "
+                               "on one bench")  # fmt: skip
+    return first
+
+
+def _source(records: Recorded, digest: str) -> Source:
+    status = getattr(getattr(records, "run", None), "status", "completed")
+    procedure = str(records.header.get("procedure") or records.header["title"])
+    return Source(records.name, procedure, str(status), digest, float(records.header["started"]))
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What every part of a calibration looks up."""
+
+    runs: Sequence[Recorded]
+    header: Mapping[str, Any]
+    sensors: Mapping[str, Sensor]
+    alignment: Alignment
+    noise: Mapping[str, Resting]
+
+    @property
+    def temperature(self) -> tuple[float, float, float] | None:
+        return resting.conditions_of(self.runs).get("temperature")
+
+    def flags(self) -> Iterator[str]:
+        if not self.alignment.declared:
+            yield "no `alignment` in the bench file: the budgets contain no misalignment"
+        for records in self.runs:
+            status = getattr(getattr(records, "run", None), "status", "completed")
+            if status != "completed":
+                yield f"{records.name} is {status}: not every point of it was measured"
+
+    def noise_results(self, shaken: _Shaken, turned: _Turned) -> Iterator[Result]:
+        """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
+        own = {**shaken.sensitivities(), **turned.sensitivities()}
+        for name, noise in self.noise.items():
+            yield from _noise_of(self.sensors[name], noise, own.get(name))
+        yield from turned.noise_in_motion(own)
+
+
+def _noise_of(sensor: Sensor, noise: Resting, own: float | None) -> Iterator[Result]:
+    by = sensor.nominal if own is None else own
+    remark = ("by the data sheet's sensitivity",) if own is None else ()
+    common = (f"record of {noise.seconds:.4g} s at rest ({noise.run})", "own sensitivity")
+    title = "deviation at rest, 1/30 Hz to half the sampling rate"
+    if noise.deviation is None:
+        yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
+    else:
+        yield _deviation(sensor, "deviation", title, noise.deviation, noise.dof, by, remark, common)
+    found = coefficients(noise.fit)
+    density_unit = f"({sensor.unit})/√Hz"
+    for measurand, key, title, unit in (
+        ("noise_density", "N", "noise density at low frequency, N (two-sided root)", density_unit),
+        ("bias_instability", "B", "bias instability, B", sensor.unit),
+        ("random_walk", "K", "random walk of the output, K", RANDOM_WALK[sensor.quantity]),
+    ):
+        one = found[key]
+        if one.value is None or one.u is None:
+            yield not_determined(sensor.name, measurand, title, unit, one.reason)
+            continue
+        line = Contribution("estimate of the spectrum", "A", "normal", one.u / abs(by), unit, 1.0)
+        yield Result(sensor.name, measurand, title, one.value / abs(by), unit, Budget((line,)), *common, remarks=remark)
+    yield _bandwidth(sensor, noise, common)
+
+
+def _deviation(
+    sensor: Sensor, measurand: str, title: str, volts: float, dof: float, by: float, remark: tuple[str, ...],
+    common: tuple[str, str],
+) -> Result:  # fmt: skip
+    value = volts / abs(by)
+    dof = max(dof, 1.0)
+    line = Contribution("length of the record", "A", "normal", value / math.sqrt(2.0 * dof), sensor.unit, 1.0)
+    return Result(sensor.name, measurand, title, value, sensor.unit, Budget((line,)), *common, remarks=remark)
+
+
+def _bandwidth(sensor: Sensor, noise: Resting, common: tuple[str, str]) -> Result:
+    title = "noise bandwidth of the white noise, π/2 of the corner"
+    if "pole" in noise.fit.refused or not math.isfinite(noise.fit.model.pole):
+        why = noise.fit.refused.get("pole", "no corner in the spectrum")
+        return not_determined(sensor.name, "noise_bandwidth", title, "Hz", why)
+    factor = math.pi / 2.0
+    line = Contribution("estimate of the spectrum", "A", "normal", noise.fit.u["pole"], "Hz", factor)
+    return Result(sensor.name, "noise_bandwidth", title, factor * noise.fit.model.pole, "Hz", Budget((line,)), *common)
+
+
+class _Shaken:
+    """Everything from the shaker."""
+
+    def __init__(self, bench: _Bench) -> None:
+        self._bench = bench
+        self.points: dict[str, list[SinePoint]] = {}  # by run and axis
+        self._fits: dict[str, list[ChannelFit]] = {}
+        self._whole: dict[str, ChannelFit] = {}
+        self._chain: Chain | None = None
+        for records in bench.runs:
+            if any("frequency" in body for body in records.points.values()):
+                self._chain = chain_of(records)
+                for group in _by_axis(sine_points(records, self._chain)):
+                    self.points[f"{records.name} {group[0].axis} {group[0].index}"] = group
+        self._refuse_wrong_axis()
+        self._fit()
+
+    def _refuse_wrong_axis(self) -> None:
+        axes = {n: s.axis for n, s in self._bench.sensors.items() if n.startswith(("unit_a", "unit_b"))}
+        for where, group in self.points.items():
+            moved = wrong_axis(group, axes)
+            if moved is not None:
+                raise BadInput(f"{where}: found the motion along {moved}, wanted it along {group[0].axis}: "
+                               "the cube stands on another face than the run says")  # fmt: skip
+
+    def _driven(self, axis: str) -> list[Sensor]:
+        return [s for s in self._bench.sensors.values() if s.quantity == "acceleration" and s.axis == axis]
+
+    def _fit(self) -> None:
+        chain = self._chain
+        if chain is None:
+            return
+        for group in self.points.values():
+            for sensor in self._driven(group[0].axis):
+                if sensor.name in group[0].lines:
+                    seen = accelerometers.observed(group, sensor.name)
+                    fit = accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
+                    self._fits.setdefault(sensor.name, []).append(fit)
+        for name, several in self._fits.items():
+            sensor = self._bench.sensors[name]
+            merged = several[0]
+            if len(several) > 1:
+                whole = accelerometers.observed(self._points_of(sensor.axis), name)
+                merged = accelerometers.fit_channel(whole, name, chain, sensor.bandwidth)
+            self._whole[name] = merged
+
+    def _points_of(self, axis: str) -> list[SinePoint]:
+        return [p for group in self.points.values() for p in group if p.axis == axis]
+
+    def sensitivities(self) -> dict[str, float]:
+        return {name: fit.sensitivity for name, fit in self._whole.items()}
+
+    def results(self) -> Iterator[Result]:
+        bench, chain = self._bench, self._chain
+        if chain is None:
+            return
+        limits = bench.alignment
+        setup = accelerometers.Setup(chain, limits.beam, limits.mount, bench.temperature)
+        remount = accelerometers.remount_of(self._fits)
+        for name, fit in self._whole.items():
+            sensor = bench.sensors[name]
+            yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
+            yield accelerometers.pole_result(fit)
+            yield accelerometers.curvature_result(fit.seen, name, chain, sensor.bandwidth)
+            for driven in "xyz":
+                points = self._points_of(driven)
+                if driven != sensor.axis and points:
+                    yield accelerometers.cross_axis_result(points, name, driven, fit)
+        yield from self._offsets()
+
+    def _offsets(self) -> Iterator[Result]:
+        """Zero output from the records at rest in which the axis was horizontal."""
+        title = "zero output"
+        for name in self._whole:
+            sensor = self._bench.sensors[name]
+            found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
+            if not found or name not in self._bench.noise:
+                why = "no record at rest with this axis horizontal: `static` of a sweep along another axis, or a tumble"
+                yield not_determined(name, "offset", title, "V", why)
+            else:
+                yield self._offset(sensor, found)
+
+    def _offset(self, sensor: Sensor, found: Sequence[tuple[float, float, float]]) -> Result:
+        """Generalised least-squares mean: records that wander together are not counted as independent."""
+        noise = self._bench.noise[sensor.name]
+        begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
+        value, u = mean_of(volts, noise.fit.model.covariance(begin, end))
+        tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(self._bench.alignment.mount)
+        lines = (
+            Contribution("noise and wandering", "A", "normal", u, "V", 1.0, gyros.dof_of(noise)),
+            Contribution("tilt of the mounting", "B", "rectangular", tilt / math.sqrt(3.0), "V", 1.0,
+                         source="declared limit"),
+        )  # fmt: skip
+        method = f"mean of {len(volts)} records at rest, axis horizontal"
+        return Result(sensor.name, "offset", "zero output", value, "V", Budget(lines), method, "plumb line")
+
+    def responses(self) -> dict[str, tuple[ResponsePoint, ...]]:
+        if self._chain is None:
+            return {}
+        return {
+            name: accelerometers.response_table(self._points_of(self._bench.sensors[name].axis), fit, self._chain)
+            for name, fit in self._whole.items()
+        }
+
+    def flags(self) -> Iterator[str]:
+        for group in self.points.values():
+            for point in group:
+                for flag in (*point.flags, *(f"{n} {f}" for n, one in point.lines.items() for f in one.flags)):
+                    yield f"{point.run}, {point.frequency:.4g} Hz {point.level}: {flag}; the point was left out"
+
+
+def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
+    """Best mean of correlated values and its standard uncertainty (as one record of flicker never falls below)."""
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    weights = inverse.sum(axis=0)
+    total = float(weights.sum())
+    return float(weights @ volts) / total, total**-0.5
+
+
+def _by_axis(points: Sequence[SinePoint]) -> Iterator[list[SinePoint]]:
+    """Consecutive points of one axis: a mounting; a second sweep of the axis in the run is another one."""
+    group: list[SinePoint] = []
+    seen: set[tuple[float, str]] = set()
+    for point in points:
+        key = (round(point.frequency, 1), point.level)
+        if group and (point.axis != group[0].axis or key in seen):
+            yield group
+            group, seen = [], set()
+        group.append(point)
+        seen.add(key)
+    if group:
+        yield group
+
+
+def _level_rests(records: Recorded, sensor: Sensor) -> Iterator[tuple[float, float, float]]:
+    """Begin, end (bench clock, s) and mean volts of every record at rest on the shaker with this axis horizontal."""
+    for entry, mount in mounts(records):
+        body = entry.body
+        if (
+            entry.kind not in ("point", "step")
+            or mount is None
+            or mount["place"] != "shaker"
+            or not str(body.get("purpose", "")).startswith("static_")
+            or "samples" not in body
+            or UP[str(mount["axis"])] == "xyz".index(sensor.axis)
+        ):
+            continue
+        found = signals(records.samples(body["samples"]))
+        if sensor.name in found.names and not found.clipped.get(sensor.name):
+            start = float(body["start"])
+            yield start, start + float(body["seconds"]), float(found.of(sensor.name).mean())
+
+
+class _Turned:
+    """Everything from the turntable."""
+
+    def __init__(self, bench: _Bench) -> None:
+        self._bench = bench
+        self._rotations: dict[str, list[Rotation]] = {}
+        self._fits: dict[str, gyros.GyroFit] = {}
+        self._setup: gyros.Setup | None = None
+        nominal = {n: s.nominal for n, s in bench.sensors.items()}
+        for records in bench.runs:
+            if any("phase" in body for body in records.points.values()):
+                self._setup = self._setup or self._made(records)
+                wired = records.header["bench_file"]["cables"]["turntable"]
+                channels = [c for c in wired if c in bench.sensors or c == "supply"]
+                for rotation in rotations_of(records, channels, nominal):
+                    axis = rotation.blocks[0].mount.axis
+                    self._rotations.setdefault(axis, []).append(rotation)
+        if self._setup is not None:
+            for axis, rotations in self._rotations.items():
+                for name in (f"gyro_{axis}", f"backup_{axis}"):
+                    if name in bench.noise:
+                        self._fits[name] = gyros.fit_gyro(rotations, name, bench.noise[name], self._setup)
+
+    def _made(self, records: Recorded) -> gyros.Setup:
+        limits, sensors = self._bench.alignment, self._bench.sensors
+        return gyros.Setup(
+            time_base=reference(records, "time_base", "rate"),
+            tilt=limits.mount,
+            radius=limits.radius,
+            gravity=reference(records, "gravity", "gravity").value,
+            temperature=self._bench.temperature,
+            ratiometric={n: s.ratiometric for n, s in sensors.items() if s.ratiometric is not None},
+            drift={n: s.drift for n, s in sensors.items() if s.drift is not None},
+        )
+
+    def sensitivities(self) -> dict[str, float]:
+        return {name: fit.sensitivity for name, fit in self._fits.items()}
+
+    def results(self) -> Iterator[Result]:
+        setup = self._setup
+        if setup is None:
+            return
+        for axis, rotations in self._rotations.items():
+            for name in self._bench.noise:
+                sensor = self._bench.sensors[name]
+                if name in self._fits and name.endswith(f"_{axis}"):
+                    yield from self._gyro(rotations, name, setup)
+                elif sensor.quantity == "rate" and name in rotations[0].blocks[0].volts:
+                    own = self._fits[name].sensitivity if name in self._fits else sensor.nominal
+                    yield gyros.coupling_result(rotations, name, axis, own, self._bench.noise[name], setup)
+        yield from self._centripetal(setup)
+
+    def _gyro(self, rotations: Sequence[Rotation], name: str, setup: gyros.Setup) -> Iterator[Result]:
+        fit = self._fits[name]
+        yield gyros.sensitivity_result(fit, setup)
+        yield gyros.offset_result(fit)
+        yield from gyros.linearity_results(rotations, fit, setup)
+
+    def _centripetal(self, setup: gyros.Setup) -> Iterator[Result]:
+        everything = [r for several in self._rotations.values() for r in several]
+        for name, noise in self._bench.noise.items():
+            sensor = self._bench.sensors[name]
+            with_it = [r for r in everything if name in r.blocks[0].volts]
+            if sensor.quantity == "acceleration" and with_it:
+                found = gyros.centripetal_result(with_it, name, "xyz".index(sensor.axis), noise, setup)
+                if found is not None:
+                    yield found
+
+    def noise_in_motion(self, own: Mapping[str, float]) -> Iterator[Result]:
+        title = "deviation in motion: output less the fitted rate, 1/30 Hz to half the sampling rate"
+        for rotations in self._rotations.values():
+            for name, lines in rotations[0].in_motion.items():
+                if name in own and name in self._bench.noise:
+                    sensor = self._bench.sensors[name]
+                    value, dof, why = resting.deviation(lines, self._bench.noise[name].fit, rotations[0].step)
+                    common = (f"hold of {lines.seconds:.4g} s ({rotations[0].run})", "encoder")
+                    if value is None:
+                        yield not_determined(name, "deviation_in_motion", title, sensor.unit, why)
+                    else:
+                        yield _deviation(sensor, "deviation_in_motion", title, value, dof, own[name], (), common)
+
+    def flags(self) -> Iterator[str]:
+        for rotations in self._rotations.values():
+            for rotation in rotations:
+                yield from rotation.flags
+
+
+def rotations_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str, float]) -> list[Rotation]:
+    """The turntable run, one part for each gyro axis that stood on the platter's axis."""
+    whole = rotation_of(records, channels, nominal)
+    axes = dict.fromkeys(b.mount.axis for b in whole.blocks)
+    return [
+        replace(
+            whole,
+            blocks=tuple(b for b in whole.blocks if b.mount.axis == axis),
+            in_motion={n: lines for n, lines in whole.in_motion.items() if n.endswith(f"_{axis}")},
+        )
+        for axis in axes
+    ]
+
+
+def _tumble_results(bench: _Bench) -> Iterator[Result]:
+    for records in bench.runs:
+        yield from tumbling.results(records, bench.sensors, bench.noise, bench.alignment.mount)
+
+
+def _ordered(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> list[Result]:
+    """By channel as in the sensor file; of a measurand determined twice (offset: sweep and tumble) the better one."""
+    best: dict[str, Result] = {}
+    for result in results:
+        before = best.get(result.key)
+        if before is None or (result.determined and (not before.determined or result.u < before.u)):
+            best[result.key] = result
+    places = {name: place for place, name in enumerate(sensors)}
+    return sorted(best.values(), key=lambda r: places.get(r.channel, len(places)))
+
+
+def _judged(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> Iterator[Result]:
+    """Sensitivities against the data sheet's tolerance, with a guard band of U."""
+    for result in results:
+        sensor = sensors.get(result.channel)
+        if result.measurand != "sensitivity" or result.value is None or sensor is None or sensor.tolerance is None:
+            yield result
+            continue
+        low, high = sorted(sensor.nominal * (1.0 + sign * sensor.tolerance) for sign in (-1.0, 1.0))
+        yield replace(result, low=low, high=high, verdict=verdict(abs(result.value), result.expanded, low, high))
+
+
+def digest_of(seal: bytes) -> str:
+    """SHA-256 of a seal's bytes."""
+    return hashlib.sha256(seal).hexdigest()

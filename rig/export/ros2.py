@@ -1,0 +1,89 @@
+"""ROS 2 parameters: per axis the scale, bias and noise of one accelerometer unit and one set of gyros.
+
+    ros2 run <package> <node> --ros-args --params-file <name>.ros2.yaml
+
+Parameters hold one of ROS 2's types each: a flag, a float, a text, or a list of floats in the order x, y, z; matrices
+are row by row. motion = M⁻¹ · (volts − bias) / scale, with M the misalignment. The covariances are those of
+sensor_msgs/msg/Imu: the variance of the noise at rest on the diagonal, −1 first where nothing is measured.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+
+from rig.errors import BadInput
+from rig.estimate.calibration import Calibration
+from rig.export.selection import Choice, channels_of, cross_axis, needed, provenance, stated, value_of, yaml_float
+
+UNKNOWN = [-1.0] + [0.0] * 8  # sensor_msgs/msg/Imu: element 0 is -1 where there is no estimate
+BODY_FROM_CUBE = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0]
+
+FRAME = (
+    "Frame: the cube's, x forward, y up (against gravity as it stands on the shaker table), z to the right.",
+    "Right-handed. Accelerometers give specific force: at rest with y up, y reads +9.8 m/s^2.",
+    "Gyro axes: roll about x, yaw about y, pitch about z, right-hand rule. Every list is in the order x, y, z.",
+    "REP 103 (x forward, y left, z up) is body_from_cube times a vector of this file; matrices are row by row.",
+    "motion = inverse(misalignment) * (volts - bias) / scale, in m/s^2 and rad/s.",
+)
+
+
+def files(calibration: Calibration, choice: Choice) -> dict[str, bytes]:
+    """The file by suffix; raises BadInput if an axis of a measured triad lacks scale, bias or noise."""
+    if not (_measured(calibration, choice.unit) or _measured(calibration, choice.gyros)):
+        raise BadInput(
+            f"calibration {calibration.name}: found no sensitivity of {choice.unit} or {choice.gyros}, "
+            "wanted one of them"
+        )
+    comments = [f"# {line}" for line in (*provenance(calibration), *FRAME)]
+    body = [f"    {line}" for line in _parameters(calibration, choice)]
+    return {".ros2.yaml": "\n".join([*comments, "/**:", "  ros__parameters:", *body, ""]).encode()}
+
+
+def _measured(calibration: Calibration, triad: str) -> bool:
+    return any(calibration.find(f"{channel}.sensitivity") for channel in channels_of(triad))
+
+
+def _parameters(calibration: Calibration, choice: Choice) -> Iterator[str]:
+    yield f"frame_id: {json.dumps('sensor_cube')}"
+    yield f"calibration: {json.dumps(calibration.name)}"
+    yield f"serial: {json.dumps(calibration.serial)}"
+    yield f"simulated: {'true' if calibration.simulated else 'false'}"
+    yield f"body_from_cube: {_list(BODY_FROM_CUBE)}"
+    yield f"orientation_covariance: {_list(UNKNOWN)}  # the cube measures no orientation"
+    yield from _triad(calibration, "linear_acceleration", choice.unit, "V/(m/s^2)")
+    yield from _triad(calibration, "angular_velocity", choice.gyros, "V/(rad/s)")
+
+
+def _triad(calibration: Calibration, name: str, triad: str, unit: str) -> Iterator[str]:
+    if not _measured(calibration, triad):
+        yield f"{name}_covariance: {_list(UNKNOWN)}  # {triad} was not calibrated"
+        return
+    channels = channels_of(triad)
+    noise = [value_of(calibration, channel, "deviation") for channel in channels]
+    yield f"{name}_covariance: {_list(_diagonal([u * u for u in noise]))}"
+    yield f"{name}:"
+    for line in _numbers(calibration, triad, channels, unit):
+        yield f"  {line}"
+
+
+def _numbers(calibration: Calibration, triad: str, channels: Sequence[str], unit: str) -> Iterator[str]:
+    yield f"channels: [{', '.join(json.dumps(channel) for channel in channels)}]"
+    for parameter, measurand, its_unit in (("scale", "sensitivity", unit), ("bias", "offset", "V")):
+        found = [needed(calibration, channel, measurand) for channel in channels]
+        yield from (f"# {stated(result)}" for result in found)
+        yield f"{parameter}: {_list([value_of(calibration, c, measurand) for c in channels])}  # {its_unit}"
+        yield f"{parameter}_expanded_uncertainty: {_list([result.expanded for result in found])}  # {its_unit}"
+    matrix = cross_axis(calibration, triad)
+    yield f"misalignment_determined: {'true' if matrix else 'false'}"
+    if matrix:
+        yield f"misalignment: {_list([value for row in matrix for value in row])}"
+
+
+def _diagonal(values: Sequence[float]) -> list[float]:
+    """A diagonal matrix of three values, row by row."""
+    return [values[row] if row == column else 0.0 for row in range(3) for column in range(3)]
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(yaml_float(value) for value in values)}]"

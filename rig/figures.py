@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rig import first_look
-from rig.first_look import Records
+from rig.records import Records, poses_of, signals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from rig.estimate.calibration import Calibration, ResponsePoint
+
 COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#7a3b8f", "backup": "#c2571a"}
 
 
-def draw(records: Records, folder: Path) -> list[Path]:
-    """Every figure that the run's records allow, written into `folder`; the paths."""
+def draw(records: Records, made: Calibration | None, folder: Path) -> list[Path]:
+    """Every figure that the run's records, and what they were calibrated to, allow; the paths, in `folder`."""
     drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(records)) is not None]
+    if made is not None and made.responses:
+        drawn.insert(0, ("response", response(made, f"{records.header['title']}: response")))
     if drawn:
         folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -44,30 +47,47 @@ def _new(rows: int, height: float, title: str) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def response(records: Records) -> Figure | None:
-    """Magnitude and phase of every driven channel against the vibrometer, over frequency."""
-    points = first_look.sine_points(records)
-    sensors = records.header["sensor"]["channels"]
-    driven = [point for point in points if sensors[point.channel]["axis"] == point.axis]
-    if not driven:
-        return None
-    figure, (magnitude, phase) = _new(2, 6.0, f"{records.header['title']}: response, no uncertainty yet")
-    for channel in sorted({point.channel for point in driven}):
-        for level, marker in (("full", "o"), ("quarter", "x"), ("half", "s"), ("eighth", "+")):
-            mine = sorted((p for p in driven if p.channel == channel and p.level == level), key=lambda p: p.frequency)
-            if not mine:
-                continue
-            frequency = [p.frequency for p in mine]
-            nominal = abs(np.mean([abs(p.response) for p in mine[:3]]))
-            style = {"color": COLOURS[channel[:6]], "marker": marker, "markersize": 4, "linewidth": 0.9}
-            label = f"{channel} {level}" if level == "full" else None
-            magnitude.plot(frequency, [abs(p.response) / nominal for p in mine], label=label, **style)
-            phase.plot(frequency, [np.degrees(np.angle(p.response)) for p in mine], **style)
+def response(made: Calibration, title: str) -> Figure:
+    """Magnitude (relative to the lowest) and phase of every driven channel against the vibrometer, over frequency.
+
+    Bars are expanded uncertainties (k = 2) without the vibrometer's gain, which all points share.
+    """
+    figure, (magnitude, phase) = _new(2, 6.0, title)
+    for channel, points in made.responses.items():
+        for number, level in enumerate(dict.fromkeys(point.level for point in points)):
+            mine = [point for point in points if point.level == level and not point.flags]
+            if mine:
+                _response_line((magnitude, phase), channel, mine, number)
     magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest")
-    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz (circles: full level, crosses: quarter)")
+    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz (circles: first level, crosses: second)")
     _plain_ticks(phase)
     magnitude.legend(fontsize=8, ncols=3, frameon=False)
     return figure
+
+
+def _response_line(axes: Any, channel: str, points: list[ResponsePoint], number: int) -> None:
+    f = [point.frequency for point in points]
+    lowest = float(np.mean([point.magnitude for point in points[:3]]))
+    style = {"color": COLOURS[channel[:6]], "fmt": "ox+s"[number % 4] + "-", "markersize": 4, "linewidth": 0.9}
+    style |= {"elinewidth": 0.8, "capsize": 1.5}
+    values, bars = [p.magnitude / lowest for p in points], [2.0 * p.u_magnitude / lowest for p in points]
+    axes[0].errorbar(f, values, yerr=bars, label=channel if number == 0 else None, **style)
+    angles = np.degrees(np.unwrap([p.phase for p in points]))
+    axes[1].errorbar(f, angles, yerr=[np.degrees(2.0 * p.u_phase) for p in points], **style)
+
+
+def svg_of_response(made: Calibration) -> dict[str, bytes]:
+    """The response figure as SVG, by name; none without responses."""
+    import io
+
+    from matplotlib import rc_context
+
+    if not made.responses:
+        return {}
+    figure, file = response(made, "Response against the vibrometer"), io.BytesIO()
+    with rc_context({"svg.hashsalt": made.name}):
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    return {"response": file.getvalue()}
 
 
 def _plain_ticks(ax: Any) -> None:
@@ -131,13 +151,18 @@ def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
 
 def poses(records: Records) -> Figure | None:
     """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
-    lines = first_look.tumble_lines(records)
-    if not lines:
+    found = poses_of(records)
+    if len(found) < 6:
         return None
     figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: residual of the straight line against gravity")
-    for line in lines:
-        milli_g = line.residuals / line.slope / first_look.STANDARD_GRAVITY * 1e3
-        ax.plot(range(1, len(milli_g) + 1), milli_g, "o-", markersize=3, linewidth=0.6, color=COLOURS[line.channel[:6]])
+    means = [signals(records.samples(body["samples"])) for _, body in found]
+    for name, sensor in records.header["sensor"]["channels"].items():
+        if sensor["quantity"] == "acceleration" and name in means[0].names:
+            component = np.array([up["xyz".index(sensor["axis"])] for up, _ in found])
+            volts = np.array([one.of(name).mean() for one in means])
+            slope, offset = np.polyfit(component, volts, 1)
+            left = (volts - slope * component - offset) / slope * 1e3
+            ax.plot(range(1, len(left) + 1), left, "o-", markersize=3, linewidth=0.6, color=COLOURS[name[:6]])
     for unit in ("unit_a", "unit_b", "unit_c"):
         ax.plot([], [], "o-", markersize=3, color=COLOURS[unit], label=f"{unit} x y z")
     ax.set(xlabel="pose", ylabel="residual / mg")
@@ -153,7 +178,6 @@ def _thinned(x: Any, y: Any, most: int = 4000) -> tuple[Any, Any]:
 
 
 _FIGURES: dict[str, Callable[[Records], Figure | None]] = {
-    "response": response,
     "rotation": rotation,
     "noise": density,
     "poses": poses,

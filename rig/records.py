@@ -154,7 +154,7 @@ def statics(records: Recorded) -> Iterator[Mapping[str, Any]]:
             yield entry.body
 
 
-def poses(records: Recorded) -> list[tuple[tuple[float, float, float], Mapping[str, Any]]]:
+def poses_of(records: Recorded) -> list[tuple[tuple[float, float, float], Mapping[str, Any]]]:
     """What was up in the cube's frame (unit vector), and the record, for every pose of a tumble."""
     up, found = None, []
     for entry in records.lines:

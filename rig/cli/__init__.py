@@ -23,6 +23,11 @@ COMMANDS = {
     "runs": ("runs", "List the runs."),
     "show": ("runs", "Show one run."),
     "verify": ("runs", "Check a run's digests, from the journal to the last block."),
+    "calibrate": ("calibration", "Calibrate a unit from its runs."),
+    "certify": ("calibration", "Certificate of a unit: PDF and digital (DCC)."),
+    "export": ("calibration", "Write a calibration for robots and other programs."),
+    "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
+    "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
     "bench": ("bench", "Check, serve or reveal the bench."),
     "daq": ("daq", "The acquisition service on the PC-104 machine."),
     "init": ("init", "Copy example configs and procedures into this folder."),
@@ -39,7 +44,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"rig.cli.{COMMANDS[cmd_name][0]}")
-        command: click.Command = getattr(module, cmd_name)
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -13,22 +13,25 @@ from rig.cli.progress import duration_text
 if TYPE_CHECKING:
     from rig.bench.runner import Order, Outcome
     from rig.bench.steps import Plan, Sine, Step
-    from rig.first_look import Row
+    from rig.estimate.calibration import Calibration, Result
+    from rig.records import Records
     from rig.run_reader import Run
 
-CAVEAT = "no uncertainty yet: plain estimates for a first look, not a calibration"
+KEY_MEASURANDS = ("sensitivity", "sensitivity_gravity")
 
 
 def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     """Print what a finished run came to; raises VerdictNotMet if an `expect` of the procedure is not met."""
-    from rig import first_look
     from rig.archive import Runs
+    from rig.cli.calibration import row_of
     from rig.figures import draw
+    from rig.records import Records
 
     run = Runs(order.runs).open(done.name)
-    records = first_look.Records(run)
-    rows = first_look.rows_of(records)
-    figure = draw(records, order.runs / "reports" / run.name)
+    records = Records(run)
+    made, why = concluded(records)
+    figure = draw(records, made, order.runs / "reports" / run.name)
+    rows = [] if made is None else key_results(made)
     missed = _unmet(order.plan, rows)
     if as_json:
         print_json(
@@ -37,14 +40,12 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
                 "elapsed": done.elapsed,
                 "shares": dict(done.shares),
                 "figures": [str(p) for p in figure],
-                "rows": [
-                    {"channel": r.channel, "value": r.sensitivity, "unit": r.unit, "basis": r.basis} for r in rows
-                ],
+                "rows": [{"channel": r.channel, **row_of(r)} for r in rows],
                 "unmet": missed,
             }
         )
     else:
-        click.echo(run_as_text(run, rows))
+        click.echo("\n".join(_run_lines(run, made, why)))
         _print_ending(done, figure, run)
     if missed:
         from rig.errors import VerdictNotMet
@@ -52,17 +53,40 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
         raise VerdictNotMet("; ".join(missed))
 
 
+def concluded(records: Records) -> tuple[Calibration | None, str]:
+    """The calibration that this run alone gives, or None and why there is none."""
+    from rig.errors import BadInput
+    from rig.estimate.calibrate import calibrate
+
+    try:
+        return calibrate([records], records.name), ""
+    except BadInput as error:
+        return None, str(error)
+
+
+def key_results(made: Calibration) -> list[Result]:
+    """What a technician looks at first: sensitivities; of a run without any, the deviations at rest."""
+    rows = [r for r in made.results if r.determined and r.measurand in KEY_MEASURANDS]
+    return rows or list(made.of("deviation"))
+
+
 def _print_ending(done: Outcome, figure: list[Path], run: Run) -> None:
     parts = ", ".join(f"{name} {seconds / done.elapsed:.0%}" for name, seconds in done.shares.items())
     click.echo(f"took {duration_text(done.elapsed)}: {parts}")
     for path in figure:
         click.echo(f"figure: {path}")
-    click.echo(f"next: rig show {run.name}, rig verify {run.name}")
+    click.echo(f"next: rig calibrate {run.name}, rig report {run.name}")
 
 
-def run_as_text(run: Run, rows: list[Row] | None = None) -> str:
+def run_as_text(run: Run) -> str:
     """A run for a reader: what it is, how far it came, its table."""
-    from rig import first_look
+    from rig.records import Records
+
+    return "\n".join(_run_lines(run, *concluded(Records(run))))
+
+
+def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:
+    from rig.estimate.calibration import text
 
     summary = run.summary()
     mark = "  SIMULATED" if summary["simulated"] else ""
@@ -70,40 +94,27 @@ def run_as_text(run: Run, rows: list[Row] | None = None) -> str:
         f"run {run.name}{mark}",
         f"  {run.header['title']}: {summary['status']}, {summary['points_done']} of {summary['points_total']} points",
     ]
-    rows = first_look.rows_of(first_look.Records(run)) if rows is None else rows
+    if made is None:
+        return [*lines, f"  not calibrated: {why}"]
+    rows = key_results(made)
     if rows:
-        lines += ["", *table(rows), f"  ({CAVEAT})"]
-    return "\n".join(lines)
+        width = max(len(r.channel) for r in rows)
+        lines += ["", *(f"  {r.channel:<{width}}  {text(r):<26} {r.title}; {r.reference}" for r in rows)]
+        lines += ["  (expanded uncertainty for 95 %, from this run alone)"]
+    lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
+    return [*lines, *(f"  note: {flag}" for flag in made.flags)]
 
 
-def table(rows: list[Row]) -> list[str]:
-    """The rows in the units that technicians use."""
-    cells = [(row.channel, *_shown(row), row.basis) for row in rows]
-    widths = [max(len(cell[column]) for cell in cells) for column in range(3)]
-    return [f"  {a:<{widths[0]}}  {b:>{widths[1]}} {c:<{widths[2]}}  {d}" for a, b, c, d in cells]
-
-
-def _shown(row: Row) -> tuple[str, str]:
-    import math
-
-    if row.unit == "V/(m/s²)":
-        return f"{row.sensitivity * 9.80665e3:.2f}", "mV/g"
-    if row.unit == "V/(rad/s)":
-        return f"{row.sensitivity * 1e3 * math.pi / 180:.4f}", "mV/(°/s)"
-    return f"{row.sensitivity * 1e3:.3f}", "mV rms"
-
-
-def _unmet(plan: Plan, rows: list[Row]) -> list[str]:
+def _unmet(plan: Plan, rows: list[Result]) -> list[str]:
     """`expect: sensitivity` is judged on unit A, the axis that was driven."""
     if "sensitivity" not in plan.expect:
         return []
     low, high = plan.expect["sensitivity"]
-    judged = [row for row in rows if row.channel.startswith("unit_a") and row.unit == "V/(m/s²)"]
     return [
-        f"expect sensitivity of {row.channel}: found {row.sensitivity * 9.80665e3:.2f} mV/g, "
+        f"expect sensitivity of {r.channel}: found {r.value * 9.80665e3:.2f} mV/g, "
         f"wanted {low * 9.80665e3:.2f} to {high * 9.80665e3:.2f} mV/g"
-        for row in judged
-        if not low <= row.sensitivity <= high
+        for r in rows
+        if r.channel.startswith("unit_a") and r.value is not None and not low <= r.value <= high
     ]
 
 

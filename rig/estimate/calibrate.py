@@ -19,7 +19,7 @@ from rig import units
 from rig.errors import BadInput
 from rig.estimate import accelerometers, gyros, paper_rows, resting, tumbling
 from rig.estimate.accelerometers import ChannelFit
-from rig.estimate.budget import Budget, Contribution
+from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
 from rig.estimate.resting import Resting
 from rig.estimate.rotating import Rotation, rotation_of
@@ -99,8 +99,8 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     bench = _Bench(runs, header, sensors, alignment_of(header), resting.noise_of(runs, sensors, poles))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
-    results = [*shaken.results(), *turned.results(), *bench.noise_results(shaken, turned)]
-    results += _tumble_results(bench)
+    results = [*shaken.results(), *turned.results()]
+    results += [*bench.noise_results(list(results), turned), *_tumble_results(bench)]
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
@@ -163,57 +163,86 @@ class _Bench:
             if status != "completed":
                 yield f"{records.name} is {status}: not every point of it was measured"
 
-    def noise_results(self, shaken: _Shaken, turned: _Turned) -> Iterator[Result]:
+    def noise_results(self, sensitivities: Iterable[Result], turned: _Turned) -> Iterator[Result]:
         """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
-        own = {**shaken.sensitivities(), **turned.sensitivities()}
+        own = {r.channel: r for r in sensitivities if r.measurand == "sensitivity" and r.value is not None}
         for name, noise in self.noise.items():
-            yield from _noise_of(self.sensors[name], noise, own.get(name))
-        yield from turned.noise_in_motion(own)
+            yield from _noise_of(self.sensors[name], noise, scale_of(self.sensors[name], own.get(name)))
+        yield from turned.noise_in_motion({n: scale_of(self.sensors[n], r) for n, r in own.items()})
 
 
-def _noise_of(sensor: Sensor, noise: Resting, own: float | None) -> Iterator[Result]:
-    by = sensor.nominal if own is None else own
-    remark = ("by the data sheet's sensitivity",) if own is None else ()
-    common = (f"record of {noise.seconds:.4g} s at rest ({noise.run})", "own sensitivity")
+@dataclass(frozen=True)
+class Scale:
+    """What turns volts of noise into the sensed quantity: sensitivity (SI) and its line in the budget, per unit."""
+
+    sensitivity: float
+    line: Contribution | None
+    remarks: tuple[str, ...]
+    reference: str
+
+    def result(self, sensor: Sensor, measurand: str, title: str, unit: str, volts: float, u: float, how: str) -> Result:
+        """A noise quantity in V (or V/√Hz …) with standard uncertainty `u`, referred to the input."""
+        value = volts / abs(self.sensitivity)
+        lines = [Contribution("estimate of the spectrum", "A", "normal", u / abs(self.sensitivity), unit, 1.0)]
+        if self.line is not None:
+            lines.append(replace(self.line, sensitivity=value))
+        return Result(
+            sensor.name, measurand, title, value, unit, Budget(tuple(lines)), how, self.reference, remarks=self.remarks
+        )
+
+
+def scale_of(sensor: Sensor, own: Result | None) -> Scale:
+    """The channel's own sensitivity if these runs determine it, else the data sheet's within its tolerance."""
+    if own is not None and own.value is not None:
+        known = Contribution("sensitivity", "B", "normal", own.u / abs(own.value), "1", 1.0, source=own.reference)
+        return Scale(own.value, known, (), "own sensitivity")
+    remarks = ["by the data sheet's sensitivity"]
+    line: Contribution | None = None
+    if sensor.tolerance is None:
+        remarks.append("its tolerance is not declared and not in the budget")
+    else:
+        line = Contribution("sensitivity", "B", "rectangular", half_width(sensor.tolerance, "rectangular"), "1", 1.0,
+                            source="data sheet")  # fmt: skip
+    return Scale(sensor.nominal, line, tuple(remarks), "data sheet's sensitivity")
+
+
+def _noise_of(sensor: Sensor, noise: Resting, by: Scale) -> Iterator[Result]:
+    how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
     title = "deviation at rest, 1/30 Hz to half the sampling rate"
     if noise.deviation is None:
         yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
     else:
-        yield _deviation(sensor, "deviation", title, noise.deviation, noise.dof, by, remark, common)
+        yield by.result(
+            sensor, "deviation", title, sensor.unit, noise.deviation, _u_deviation(noise.deviation, noise.dof), how
+        )
     found = coefficients(noise.fit)
-    density_unit = f"({sensor.unit})/√Hz"
     for measurand, key, title, unit in (
-        ("noise_density", "N", "noise density at low frequency, N (two-sided root)", density_unit),
+        ("noise_density", "N", "noise density at low frequency, N (two-sided root)", f"({sensor.unit})/√Hz"),
         ("bias_instability", "B", "bias instability, B", sensor.unit),
         ("random_walk", "K", "random walk of the output, K", RANDOM_WALK[sensor.quantity]),
     ):
         one = found[key]
         if one.value is None or one.u is None:
             yield not_determined(sensor.name, measurand, title, unit, one.reason)
-            continue
-        line = Contribution("estimate of the spectrum", "A", "normal", one.u / abs(by), unit, 1.0)
-        yield Result(sensor.name, measurand, title, one.value / abs(by), unit, Budget((line,)), *common, remarks=remark)
-    yield _bandwidth(sensor, noise, common)
+        else:
+            yield by.result(sensor, measurand, title, unit, one.value, one.u, how)
+    yield _bandwidth(sensor, noise, how)
 
 
-def _deviation(
-    sensor: Sensor, measurand: str, title: str, volts: float, dof: float, by: float, remark: tuple[str, ...],
-    common: tuple[str, str],
-) -> Result:  # fmt: skip
-    value = volts / abs(by)
-    dof = max(dof, 1.0)
-    line = Contribution("length of the record", "A", "normal", value / math.sqrt(2.0 * dof), sensor.unit, 1.0)
-    return Result(sensor.name, measurand, title, value, sensor.unit, Budget((line,)), *common, remarks=remark)
+def _u_deviation(value: float, dof: float) -> float:
+    """Standard uncertainty of a standard deviation from the degrees of freedom of its square."""
+    return value / math.sqrt(2.0 * max(dof, 1.0))
 
 
-def _bandwidth(sensor: Sensor, noise: Resting, common: tuple[str, str]) -> Result:
+def _bandwidth(sensor: Sensor, noise: Resting, how: str) -> Result:
     title = "noise bandwidth of the white noise, π/2 of the corner"
     if "pole" in noise.fit.refused or not math.isfinite(noise.fit.model.pole):
         why = noise.fit.refused.get("pole", "no corner in the spectrum")
         return not_determined(sensor.name, "noise_bandwidth", title, "Hz", why)
     factor = math.pi / 2.0
     line = Contribution("estimate of the spectrum", "A", "normal", noise.fit.u["pole"], "Hz", factor)
-    return Result(sensor.name, "noise_bandwidth", title, factor * noise.fit.model.pole, "Hz", Budget((line,)), *common)
+    value = factor * noise.fit.model.pole
+    return Result(sensor.name, "noise_bandwidth", title, value, "Hz", Budget((line,)), how, "time base")
 
 
 class _Shaken:
@@ -264,9 +293,6 @@ class _Shaken:
 
     def _points_of(self, axis: str) -> list[SinePoint]:
         return [p for group in self.points.values() for p in group if p.axis == axis]
-
-    def sensitivities(self) -> dict[str, float]:
-        return {name: fit.sensitivity for name, fit in self._whole.items()}
 
     def results(self) -> Iterator[Result]:
         bench, chain = self._bench, self._chain
@@ -404,9 +430,6 @@ class _Turned:
             drift={n: s.drift for n, s in sensors.items() if s.drift is not None},
         )
 
-    def sensitivities(self) -> dict[str, float]:
-        return {name: fit.sensitivity for name, fit in self._fits.items()}
-
     def results(self) -> Iterator[Result]:
         setup = self._setup
         if setup is None:
@@ -437,18 +460,19 @@ class _Turned:
                 if found is not None:
                     yield found
 
-    def noise_in_motion(self, own: Mapping[str, float]) -> Iterator[Result]:
+    def noise_in_motion(self, own: Mapping[str, Scale]) -> Iterator[Result]:
         title = "deviation in motion: output less the fitted rate, 1/30 Hz to half the sampling rate"
         for rotations in self._rotations.values():
             for name, lines in rotations[0].in_motion.items():
                 if name in own and name in self._bench.noise:
                     sensor = self._bench.sensors[name]
                     value, dof, why = resting.deviation(lines, self._bench.noise[name].fit, rotations[0].step)
-                    common = (f"hold of {lines.seconds:.4g} s ({rotations[0].run})", "encoder")
                     if value is None:
                         yield not_determined(name, "deviation_in_motion", title, sensor.unit, why)
                     else:
-                        yield _deviation(sensor, "deviation_in_motion", title, value, dof, own[name], (), common)
+                        how = f"hold of {lines.seconds:.4g} s ({rotations[0].run})"
+                        u = _u_deviation(value, dof)
+                        yield own[name].result(sensor, "deviation_in_motion", title, sensor.unit, value, u, how)
 
     def flags(self) -> Iterator[str]:
         for rotations in self._rotations.values():

@@ -14,7 +14,7 @@ from rig.errors import BadInput
 from rig.estimate.budget import Budget, Contribution
 from rig.estimate.calibration import Result, not_determined
 from rig.estimate.resting import Resting
-from rig.records import Recorded, Reference, poses, reference, signals
+from rig.records import Recorded, Reference, poses_of, reference, signals
 
 Array = NDArray[np.float64]
 UNITS = ("unit_a", "unit_b", "unit_c")
@@ -33,7 +33,7 @@ def results(
     records: Recorded, sensors: Mapping[str, Axis], noise: Mapping[str, Resting], tilt: float
 ) -> Iterator[Result]:
     """Results of every triad; nothing for a run without poses. `tilt` is the declared limit of a pose's angle, rad."""
-    found = poses(records)
+    found = poses_of(records)
     if not found:
         return
     gravity = reference(records, "gravity", "gravity")

@@ -1,0 +1,270 @@
+"""Commands that conclude: calibrate, certify, export, report, compare-calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli.options import json_option, print_json, runs_option
+
+if TYPE_CHECKING:
+    from rig.estimate.calibration import Calibration, Result
+    from rig.records import Records
+
+RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
+FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
+
+
+@click.command(short_help="Calibrate a unit from its runs.")
+@RUN_NAMES
+@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@runs_option
+@json_option
+def calibrate(names: tuple[str, ...], name: str | None, runs: Path, as_json: bool) -> None:
+    """Merge runs of one unit (axes, remounts, both senses, tumbles, records at rest) into one calibration.
+
+    It is written to calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
+    """
+    from rig.estimate.calibration import path_of, save
+
+    made, _ = _calibrated(names, runs, name)
+    path = path_of(runs, made.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save(made, path)
+    if as_json:
+        print_json(_as_json(made, path))
+    else:
+        click.echo("\n".join(text_of(made)))
+        click.echo(f"calibration: {path}")
+        click.echo(
+            f"next: rig certify {' '.join(names)}, rig report {' '.join(names)}, rig export {made.name} --to ros2"
+        )
+    _refuse_failed(made)
+
+
+@click.command(short_help="Certificate of a unit: PDF and digital (DCC).")
+@RUN_NAMES
+@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
+@runs_option
+@json_option
+def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Path, as_json: bool) -> None:
+    """Calibrate from runs and write the certificate as PDF and as digital calibration certificate (DCC 3.2.1).
+
+    Exit code 3 if a value does not keep its limits; both documents are written all the same.
+    """
+    from rig.certificate.dcc import write_dcc
+    from rig.certificate.pdf import write_pdf
+    from rig.estimate.calibration import path_of, save
+    from rig.figures import svg_of_response
+
+    made, _ = _calibrated(names, runs, name)
+    path = path_of(runs, made.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = out or runs / "reports" / made.name
+    folder.mkdir(parents=True, exist_ok=True)
+    pdf, dcc = folder / f"{made.name}.pdf", folder / f"{made.name}.xml"
+    write_dcc(made, dcc)
+    write_pdf(made, pdf, svg_of_response(made))
+    save(made, path)
+    if as_json:
+        print_json({"calibration": made.name, "pdf": str(pdf), "dcc": str(dcc), "simulated": made.simulated})
+    else:
+        for label, written in (("certificate", pdf), ("digital certificate", dcc), ("calibration", path)):
+            click.echo(f"{label}: {written}")
+        click.echo(f"next: rig export {made.name} --to ros2, rig compare-calibrations {made.name} ANOTHER")
+    _refuse_failed(made)
+
+
+@click.command(short_help="Write a calibration for robots and other programs.")
+@click.argument("name", metavar="CALIBRATION")
+@click.option("--to", "format", type=click.Choice(FORMATS), required=True, help="Format.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
+@click.option("--unit", default="unit_a", show_default=True, help="Accelerometer triad.")
+@click.option("--gyro", default="gyro", show_default=True, help="Gyro triad: gyro or backup.")
+@click.option("--rate", type=float, help="Rate of the robot's messages, Hz (Kalibr).")
+@click.option("--topic", default="/imu0", show_default=True, help="ROS topic (Kalibr).")
+@click.option("--assume", multiple=True, metavar="KEY=VALUE", help="A Kalibr value that no record determined; marked.")
+@runs_option
+@json_option
+def export(
+    name: str,
+    format: str,
+    out: Path | None,
+    unit: str,
+    gyro: str,
+    rate: float | None,
+    topic: str,
+    assume: tuple[str, ...],
+    runs: Path,
+    as_json: bool,
+) -> None:
+    """Write calibration NAME as Kalibr or ROS 2 YAML, CSV, MAT (v5), HDF5 or a Python module without dependencies."""
+    from rig.estimate.calibration import load, path_of
+    from rig.export import write
+
+    made = load(path_of(runs, name))
+    folder = out or runs / "reports" / name
+    written = write(made, format, folder, unit=unit, gyros=gyro, rate=rate, topic=topic, assumed=_assumed(assume))
+    if as_json:
+        print_json({"calibration": name, "format": format, "files": [str(path) for path in written]})
+        return
+    for path in written:
+        click.echo(f"{format}: {path}")
+    click.echo(f"next: rig export {name} --to {'csv' if format != 'csv' else 'python'}")
+
+
+def _assumed(given: Sequence[str]) -> dict[str, float]:
+    from rig.errors import BadInput
+
+    found = {}
+    for item in given:
+        key, _, number = item.partition("=")
+        try:
+            found[key] = float(number)
+        except ValueError:
+            raise BadInput(f"--assume: found '{item}', wanted KEY=NUMBER in SI units") from None
+    return found
+
+
+@click.command(short_help="A page with the paper's tables and figures, drawn from runs.")
+@RUN_NAMES
+@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="File [default: reports/<name>.html].")
+@runs_option
+@json_option
+def report(names: tuple[str, ...], name: str | None, out: Path | None, runs: Path, as_json: bool) -> None:
+    """Draw Tables I and II and figures 4, 5, 7, 8 and 9 of the paper, budgets and responses: one HTML file."""
+    from rig.report import write_report
+
+    made, records = _calibrated(names, runs, name)
+    path = out or runs / "reports" / f"{made.name}.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_report(made, records, path)
+    if as_json:
+        print_json({"calibration": made.name, "report": str(path)})
+        return
+    click.echo(f"report: {path}")
+    click.echo(f"next: open it in a browser; rig certify {' '.join(names)}")
+
+
+@click.command("compare-calibrations", short_help="Compare two calibrations by En numbers.")
+@click.argument("first", metavar="A")
+@click.argument("second", metavar="B")
+@runs_option
+@json_option
+def compare_calibrations(first: str, second: str, runs: Path, as_json: bool) -> None:
+    """En of every measurand that both calibrations have: |En| ≤ 1 agrees within the expanded uncertainties.
+
+    Errors of a standard that both share (same certificate) cancel in the difference and are left out of it.
+    """
+    from rig.errors import BadInput
+    from rig.estimate.calibration import load, path_of
+    from rig.estimate.comparison import compare
+
+    rows = compare(load(path_of(runs, first)), load(path_of(runs, second)))
+    if not rows:
+        raise BadInput(f"{first}, {second}: found no measurand that both determine, wanted at least one")
+    if as_json:
+        print_json([row.as_json() for row in rows])
+        return
+    width = max(len(row.key) for row in rows)
+    for row in rows:
+        click.echo(f"{row.key:<{width}}  {row.first:>22}  {row.second:>22}  En {row.en:+6.2f}  {row.words}")
+    apart = [row.key for row in rows if not row.agrees]
+    click.echo(f"{len(rows) - len(apart)} of {len(rows)} agree" + (f"; apart: {', '.join(apart)}" if apart else ""))
+    click.echo(f"next: rig report RUN… of the newer one, rig export {second} --to csv")
+
+
+def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Calibration, list[Records]]:
+    """Calibrate from the named runs; a name that is taken gets a number."""
+    import datetime as dt
+    from dataclasses import replace
+
+    from rig.archive import Runs
+    from rig.estimate.calibrate import calibrate as merged
+    from rig.estimate.calibrate import digest_of
+    from rig.estimate.calibration import path_of
+    from rig.records import Records
+    from rig.run_writer import SEAL
+
+    archive = Runs(runs)
+    opened = [Records(archive.open(one)) for one in dict.fromkeys(names)]
+    seals = {r.name: r.run.path / SEAL for r in opened}
+    made = merged(opened, "unnamed", {n: digest_of(s.read_bytes()) for n, s in seals.items() if s.exists()})
+    day = dt.datetime.fromtimestamp(made.made, dt.UTC).date()
+    serial = "".join(c if c.isalnum() or c in "-_." else "-" for c in made.serial).lstrip(".") or "unit"
+    wanted = name or f"{serial}-{day}"
+    free, number = wanted, 1
+    while path_of(runs, free).exists():
+        number += 1
+        free = f"{wanted}-{number}"
+    return replace(made, name=free), opened
+
+
+SHOWN_FIRST = ("sensitivity", "sensitivity_gravity", "sensitivity_centripetal", "offset", "deviation")
+
+
+def text_of(made: Calibration) -> list[str]:
+    """The table that a calibration prints: the main measurands of every channel, then what there is to say."""
+    from rig.estimate.calibration import text
+
+    mark = "  SIMULATED" if made.simulated else ""
+    lines = [f"calibration {made.name} of {made.sensor} {made.serial}{mark}", ""]
+    shown = [r for r in made.results if r.determined and r.measurand in SHOWN_FIRST]
+    width = max((len(r.key) for r in shown), default=0)
+    lines += [f"  {r.key:<{width}}  {text(r):<26} {_beside(r)}".rstrip() for r in shown]
+    others = sum(r.determined for r in made.results) - len(shown)
+    missing = [r for r in made.results if not r.determined]
+    lines += ["", f"  U with k for 95 %; {others} more values and {len(missing)} not determined are in the file"]
+    lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
+    lines += [f"  note: {flag}" for flag in made.flags]
+    return lines
+
+
+def _beside(result: Result) -> str:
+    verdict = "" if result.verdict is None else f"{result.verdict} against the data sheet's tolerance"
+    return "; ".join(part for part in (f"k = {result.coverage_factor:.2f}", verdict) if part)
+
+
+def _as_json(made: Calibration, path: Path) -> dict[str, Any]:
+    return {
+        "calibration": made.name,
+        "path": str(path),
+        "serial": made.serial,
+        "simulated": made.simulated,
+        "runs": [source.run for source in made.sources],
+        "results": [row_of(result) for result in made.results],
+        "flags": list(made.flags),
+        "overdue": list(made.overdue),
+    }
+
+
+def row_of(result: Result) -> dict[str, Any]:
+    """One result as JSON, SI; value null with the reason in `remarks` if it was not determined."""
+    return {
+        "key": result.key,
+        "value": result.value,
+        "unit": result.unit,
+        "u": result.u if result.determined else None,
+        "k": result.coverage_factor if result.determined else None,
+        "expanded": result.expanded if result.determined else None,
+        "status": result.status,
+        "verdict": result.verdict,
+        "method": result.method,
+        "reference": result.reference,
+        "remarks": list(result.remarks),
+    }
+
+
+def _refuse_failed(made: Calibration) -> None:
+    """Exit code 3 if a value is outside its limits by more than its uncertainty."""
+    from rig.errors import VerdictNotMet
+    from rig.estimate.calibration import text
+
+    failed = [f"{r.key}: found {text(r)}, outside its limits" for r in made.results if r.verdict == "fail"]
+    if failed:
+        raise VerdictNotMet("; ".join(failed))

@@ -30,7 +30,8 @@ from rig.record import Samples
 Array = NDArray[np.float64]
 KNOT = 32  # lines between knots: 43 ms at 45 rpm, short against wow and the motor's flutter
 DEGREE = 3
-WINDOW = 12  # knots on either side that matter for the variance at a point
+WINDOW = 12  # knots on either side that matter at a point: an edge's influence fades by a factor of four a knot
+STRETCH = 256  # knots fitted at once
 
 
 @dataclass(frozen=True)
@@ -123,23 +124,44 @@ def turns(edges: Edges, begin: float = -math.inf, end: float = math.inf) -> Turn
 class Track:
     """Angle over time: a cubic spline by least squares through the edges, knots every `lines_per_knot` lines.
 
-    Weighted for an equal uncertainty of all times: σ_θ = |ω|·σ_t.
+    Weighted for an equal uncertainty of all times: σ_θ = |ω|·σ_t. A long record is fitted stretch by stretch with an
+    overlap that no edge's influence crosses, so that the cost grows with the length and no faster.
     """
 
     def __init__(self, edges: Edges, lines_per_knot: int = KNOT) -> None:
-        from scipy.interpolate import make_lsq_spline
-
         self.edges = edges
         t = edges.times
-        angle = edges.sense * (2.0 * math.pi / LINES) * np.arange(len(t))
+        angle = np.asarray(edges.sense * (2.0 * math.pi / LINES) * np.arange(len(t)), np.float64)
         inner = t[lines_per_knot : -lines_per_knot or None : lines_per_knot]
         inner = inner[(inner > t[DEGREE]) & (inner < t[-DEGREE - 1])]
         self.knots = np.concatenate([np.full(DEGREE + 1, t[0]), inner, np.full(DEGREE + 1, t[-1])])
         speed = np.abs(np.gradient(angle, t))
         smooth = np.convolve(np.pad(speed, 8, mode="edge"), np.ones(17) / 17.0, "valid")
         self._weights = 1.0 / (smooth * edges.u_time)
-        self._spline = make_lsq_spline(t, angle, self.knots, DEGREE, w=self._weights)
-        self._rate, self._acceleration = self._spline.derivative(1), self._spline.derivative(2)
+        stretch = STRETCH * lines_per_knot
+        self._starts = t[: max(len(t) - stretch // 2, 1) : stretch]
+        self._splines = [self._fitted(t, angle, n * stretch, stretch, lines_per_knot) for n in range(len(self._starts))]
+
+    def _fitted(self, t: Array, angle: Array, first: int, stretch: int, per_knot: int) -> tuple[Any, Any, Any]:
+        """The spline of one stretch with its overlap on both sides, and its two derivatives."""
+        from scipy.interpolate import make_lsq_spline
+
+        last = first + stretch if first + stretch < len(t) - stretch // 2 else len(t)
+        begin, end = max(first - WINDOW * per_knot, 0), min(last + WINDOW * per_knot, len(t))
+        here = slice(begin, end)
+        inner = self.knots[(self.knots > t[begin + DEGREE]) & (self.knots < t[end - DEGREE - 1])]
+        knots = np.concatenate([np.full(DEGREE + 1, t[begin]), inner, np.full(DEGREE + 1, t[end - 1])])
+        spline = make_lsq_spline(t[here], angle[here], knots, DEGREE, w=self._weights[here], method="norm-eq")
+        return spline, spline.derivative(1), spline.derivative(2)
+
+    def _evaluated(self, times: Array, derivative: int) -> Array:
+        times = np.asarray(times, np.float64)
+        which = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, None)
+        found = np.empty(times.shape)
+        for n in np.unique(which):
+            here = which == n
+            found[here] = self._splines[int(n)][derivative](times[here])
+        return found
 
     @property
     def begin(self) -> float:
@@ -153,21 +175,21 @@ class Track:
 
     def angle(self, times: Array) -> Array:
         """Angle from the first edge, rad, shape of `times` (s)."""
-        return np.asarray(self._spline(times), np.float64)
+        return self._evaluated(times, 0)
 
     def rate(self, times: Array) -> Array:
         """Angular rate, rad/s."""
-        return np.asarray(self._rate(times), np.float64)
+        return self._evaluated(times, 1)
 
     def acceleration(self, times: Array) -> Array:
         """Angular acceleration, rad/s²."""
-        return np.asarray(self._acceleration(times), np.float64)
+        return self._evaluated(times, 2)
 
     @cached_property
     def residual(self) -> Array:
         """What the spline leaves over at every edge, rad, shape (edges,)."""
         angle = self.edges.sense * (2.0 * math.pi / LINES) * np.arange(len(self.edges.times))
-        return np.asarray(angle - self._spline(self.edges.times), np.float64)
+        return np.asarray(angle - self.angle(self.edges.times), np.float64)
 
     def variance(self, times: Array) -> Array:
         """Variance of angle (rad²), rate and acceleration at each instant from the edges' timing, shape (3, n).

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rig.certificate.document import COVERAGE, DECISION, Document, document, printable, standard_rows
+from rig.certificate.document import COVERAGE, DECISION, Document, document, flat, printable, standard_rows
 from rig.durable import write_whole
 from rig.errors import BadInput
 from rig.estimate.budget import coverage_factor
@@ -74,14 +74,15 @@ def _si(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
 def _text(parent: ET.Element, tag: str, *texts: str, **attributes: str) -> ET.Element:
     child = _add(parent, tag, **attributes)
     for text in texts:
-        _add(child, "content", printable(text, f"digital certificate: {tag}"), lang="en")
+        _add(child, "content", printable(flat(text), f"digital certificate: {tag}"), lang="en")
     return child
 
 
 def _administration(data: ET.Element, words: Document, calibration: Calibration) -> None:
     software = _add(_add(data, "dccSoftware"), "software")
     _text(software, "name", calibration.program.get("name", "rig"))
-    _add(software, "release", calibration.program.get("version", "not stated"))
+    release = calibration.program.get("version", "not stated")
+    _add(software, "release", printable(release, "digital certificate: release"))
     core = _add(data, "coreData")
     for tag, value in (
         ("countryCodeISO3166_1", "ZZ"),  # user-assigned: the country is not known
@@ -156,7 +157,7 @@ def _equipment(measured: ET.Element, calibration: Calibration) -> None:
         overdue = " USED PAST ITS DUE DATE BY EXPLICIT ORDER." if row["overdue"] else ""
         stated = f"Certificate {row['certificate']} of {row['laboratory']}, due {row['due']}. {row['values']}".rstrip()
         _text(one, "description", stated + overdue)
-        _add(one, "model", row["instrument"])
+        _add(one, "model", printable(row["instrument"], "digital certificate: model"))
         _identification(one, "manufacturer", row["serial"], "Serial number", "basic_serialNumber")
 
 
@@ -192,8 +193,9 @@ def _group(results: ET.Element, measurand: str, group: Sequence[Result]) -> None
 def _quantity(data: ET.Element, result: Result) -> None:
     quantity = _add(data, "quantity", refType="basic_measuredValue")
     _text(quantity, "name", result.channel)
-    if result.remarks:
-        _text(quantity, "description", *result.remarks)
+    said = (*(("flagged",) if result.status == "flagged" else ()), *result.remarks)
+    if said:
+        _text(quantity, "description", *said)
     real = _si(quantity, "real")
     _si(real, "label", result.key)
     assert result.value is not None

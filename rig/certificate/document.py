@@ -63,9 +63,9 @@ def document(calibration: Calibration) -> Document:
         methods=tuple(dict.fromkeys(r.method for r in calibration.results if r.method)),
         conditions=tuple(_conditions(calibration)),
         warnings=tuple(_warnings(calibration)),
-        remarks=tuple(f"{r.channel}, {r.title}: {'; '.join(r.remarks)}" for r in _remarked(calibration)),
-        missing=tuple((r.channel, r.title, "; ".join(r.remarks)) for r in calibration.results if not r.determined),
-        program=", ".join(f"{name} {value}" for name, value in calibration.program.items()) or "not stated",
+        remarks=tuple(f"{r.channel}, {r.title}: {_remarks(r)}" for r in _remarked(calibration)),
+        missing=tuple((r.channel, r.title, _remarks(r)) for r in calibration.results if not r.determined),
+        program=_program(calibration.program),
     )
 
 
@@ -87,6 +87,15 @@ def printable(text: str, where: str) -> str:
     if any(not _legal(c) for c in text):
         raise BadInput(f"{where}: found {text!r}, wanted no control characters")
     return text
+
+
+def flat(text: str) -> str:
+    """The text on one line: line breaks and runs of blanks become one blank."""
+    return " ".join(text.split())
+
+
+def _remarks(result: Result) -> str:
+    return "; ".join(printable(flat(remark), f"certificate: remark on {result.key}") for remark in result.remarks)
 
 
 def _legal(c: str) -> bool:
@@ -145,11 +154,22 @@ def _warnings(calibration: Calibration) -> Iterable[str]:
         yield SIMULATED
     if calibration.overdue:
         yield f"Standards used past their due date by explicit order: {', '.join(calibration.overdue)}."
-    yield from calibration.flags
+    yield from (printable(flat(flag), "certificate: remark") for flag in calibration.flags)
 
 
 def _remarked(calibration: Calibration) -> Iterable[Result]:
     return (r for r in calibration.results if r.determined and r.remarks)
+
+
+def _program(program: Mapping[str, str]) -> str:
+    named = f"{program.get('name', 'rig')} {program.get('version', 'of a version not stated')}"
+    others = [f"{name} {_short(value)}" for name, value in program.items() if name not in ("name", "version")]
+    return ", ".join([named, *others])
+
+
+def _short(value: str) -> str:
+    """A digest by its first digits: enough to tell two apart, and fits in a line."""
+    return value if len(value) <= 32 else f"{value[:16]}…"
 
 
 def _date(time: float) -> str:

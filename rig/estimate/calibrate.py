@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import units
+from rig import paper_method, units
 from rig.errors import BadInput
-from rig.estimate import accelerometers, gyros, paper_rows, resting, tumbling
+from rig.estimate import accelerometers, gyros, resting, tumbling
 from rig.estimate.accelerometers import ChannelFit
 from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
@@ -104,7 +104,9 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
-    paper = [*paper_rows.of_sweep(shaken.points, runs, sensors), *paper_rows.of_turntable(runs, sensors)]
+    stated = header["sensor"]["channels"]
+    paper = paper_method.accelerometer_rows(shaken.everything(), stated, runs)
+    paper += [row for records in runs for row in paper_method.gyro_rows(records, stated)]
     return Calibration(
         name=name,
         sensor=str(header["sensor"]["sensor"]),
@@ -292,7 +294,11 @@ class _Shaken:
             self._whole[name] = merged
 
     def _points_of(self, axis: str) -> list[SinePoint]:
-        return [p for group in self.points.values() for p in group if p.axis == axis]
+        return [point for point in self.everything() if point.axis == axis]
+
+    def everything(self) -> list[SinePoint]:
+        """All points of all runs."""
+        return [point for group in self.points.values() for point in group]
 
     def results(self) -> Iterator[Result]:
         bench, chain = self._bench, self._chain

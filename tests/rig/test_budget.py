@@ -300,3 +300,10 @@ def test_the_numerical_tolerance_is_half_the_last_digit() -> None:
 def test_too_few_draws_are_refused() -> None:
     with pytest.raises(BadInput, match="100 draws"):
         monte_carlo(lambda x: x[0], [Draw(0.0, 1.0)], draws=100)
+
+
+def test_contributions_tied_together_count_as_one_with_the_smallest_degrees_of_freedom() -> None:
+    parts = tuple(Contribution(name, "A", "t", 1.0, "V", 1.0, dof) for name, dof in (("a", 3), ("b", 30), ("c", 10)))
+    # Variance 3 with 3 degrees of freedom, and 1 with 10, by hand.
+    assert Budget(parts, {("a", "b"): 0.5}).dof == pytest.approx(16 / (9 / 3 + 1 / 10))
+    assert Budget(parts).dof == pytest.approx(9 / (1 / 3 + 1 / 30 + 1 / 10))

@@ -128,3 +128,12 @@ def test_twelve_parameters_need_each_axis_up_and_down() -> None:
 def test_gravity_in_units_of_g_is_refused() -> None:
     with pytest.raises(BadInput, match="gravity: found 1"):
         fit_magnitude(read(poses(), np.random.default_rng(0)), 1.0, 0.0, NOISE)
+
+
+def test_noise_of_a_tenth_of_gravity_still_settles_with_a_bias_of_the_order_of_its_square() -> None:
+    noise = 0.1 * GRAVITY * 0.03
+    found = [
+        fit_magnitude(read(poses(), np.random.default_rng(seed), noise=noise), GRAVITY, 0.0, noise).sensitivities
+        for seed in range(100)
+    ]
+    assert np.abs(np.mean(found, axis=0) / truth()[:3] - 1).max() < 4 * 0.1**2

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import paper_method, units
+from rig import units
 from rig.errors import BadInput
-from rig.estimate import accelerometers, gyros, resting, tumbling
+from rig.estimate import accelerometers, gyros, paper_method, resting, tumbling
 from rig.estimate.accelerometers import ChannelFit
 from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined

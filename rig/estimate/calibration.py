@@ -38,7 +38,7 @@ SHOWN: Mapping[str, tuple[str, float]] = {
     "(m/s²)·√Hz": ("mg·√Hz", 1e3 / G),
     "(rad/s)·√Hz": ("(°/s)·√Hz", 1.0 / DEGREE),
     "rad": ("°", 1.0 / DEGREE),
-    "s": ("µs", 1e6),
+    "s": ("ms", 1e3),
     "1": ("%", 1e2),
     "V": ("V", 1.0),
     "Hz": ("Hz", 1.0),

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import tumble
 from rig.errors import BadInput
+from rig.estimate import triad
 from rig.estimate.budget import Budget, Contribution
 from rig.estimate.calibration import Result, not_determined
 from rig.estimate.resting import Resting
@@ -55,7 +55,7 @@ def _triad(
     volts = np.array([[float(one.of(c).mean()) for c in channels] for one in records_of])
     u = np.array([_u_mean(noise[c], bodies) for c in channels])
     try:
-        fit = tumble.fit_directions(volts, up, gravity.value, gravity.u, u, tilt / math.sqrt(3.0))
+        fit = triad.fit_directions(volts, up, gravity.value, gravity.u, u, tilt / math.sqrt(3.0))
     except BadInput as error:
         for c in channels:
             yield not_determined(c, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, str(error))
@@ -83,10 +83,10 @@ def _angles(
     """Angles between the axes from the magnitude of gravity alone, which no pose's direction disturbs."""
     titles = {name: f"departure of the axes {name[0]} and {name[1]} from a right angle" for name in ANGLES}
     try:
-        nine = tumble.fit_magnitude(volts, gravity.value, gravity.u, u)
+        nine = triad.fit_magnitude(volts, gravity.value, gravity.u, u)
     except BadInput as error:
         for name in ANGLES:
-            yield not_determined(unit, f"angle_{name}", titles[name], "rad", f"{error} (`rig tumble --poses 12`)")
+            yield not_determined(unit, f"angle_{name}", titles[name], "rad", f"{error} (`rig tumble --poses 24`)")
         return
     for place, name in enumerate(ANGLES):
         line = Contribution("noise and wandering", "A", "normal", float(nine.u[6 + place]), "rad", 1.0,

@@ -15,10 +15,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import paper_method
+from rig.estimate import paper_method
 from rig.estimate.calibration import DEGREE, Calibration, Result, text
+from rig.estimate.paper_method import (
+    AVERAGED,
+    CROSS_AXIS,
+    NOMINAL_ZERO,
+    axis_sign,
+    held,
+    nominal_sensitivity,
+    volts_about_zero,
+)
 from rig.figures import COLOURS
-from rig.paper_method import AVERAGED, CROSS_AXIS, NOMINAL_ZERO, axis_sign, held, nominal_sensitivity, volts_about_zero
 from rig.record import Samples
 from rig.records import Recorded, Signals, signals_of
 from rig.rotation import Edges, Track, edges_of, encoder_settings

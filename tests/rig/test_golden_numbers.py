@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from rig import paper_method, tone
+from rig import tone
+from rig.estimate import paper_method
 from rig.rotation import Edges, Turns
 from rig.vibration import filter_response
 

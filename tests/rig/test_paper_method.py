@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig import paper_method
 from rig.errors import BadInput
+from rig.estimate import paper_method
 from rig.rotation import Edges, turns
 from rig.vibration import chain_of, sine_points
 

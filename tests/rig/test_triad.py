@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.tumble import fit_directions, fit_magnitude
+from rig.estimate.triad import fit_directions, fit_magnitude
 
 Floats = NDArray[np.float64]
 

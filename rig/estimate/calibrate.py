@@ -334,7 +334,7 @@ class _Shaken:
         """Generalised least-squares mean: records that wander together are not counted as independent."""
         noise = self._bench.noise[sensor.name]
         begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
-        value, u = mean_of(volts, noise.fit.model.covariance(begin, end))
+        value, u = mean_of(volts, noise.slow.covariance(begin, end))
         tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(self._bench.alignment.mount)
         lines = (
             Contribution("noise and wandering", "A", "normal", u, "V", 1.0, gyros.dof_of(noise)),

@@ -80,7 +80,7 @@ def rows(
     begin, end = (np.concatenate([getattr(b, name) for b in parts]) for name in ("begin", "end"))
     for n in np.unique(run):
         mine = np.flatnonzero(run == n)
-        covariance[np.ix_(mine, mine)] = noise.fit.model.covariance(begin[mine], end[mine])
+        covariance[np.ix_(mine, mine)] = noise.slow.covariance(begin[mine], end[mine])
     return Rows(
         volts=np.concatenate([_at_nominal_supply(b, channel, setup) for b in parts]),
         rate=np.concatenate([b.mount.sense * b.rate for b in parts]),

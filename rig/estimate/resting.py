@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,17 @@ class Resting:
     deviation: float | None
     dof: float
     reason: str = ""
+
+    @property
+    def slow(self) -> noise.NoiseModel:
+        """The model for means over seconds: flicker that the record did not show is counted at the most it could hide.
+
+        A corner below a few periods of the record cannot be told from white noise there.
+        """
+        model = self.fit.model
+        if model.flicker > 0.0 or model.random_walk > 0.0:
+            return model
+        return replace(model, flicker=(model.white + model.quantisation) * noise.CORNER_PERIODS / self.seconds)
 
 
 def noise_of(runs: Sequence[Recorded], channels: Iterable[str], poles: Mapping[str, float]) -> dict[str, Resting]:

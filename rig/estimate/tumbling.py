@@ -53,7 +53,9 @@ def _triad(
     if any(channels[0] not in one.names for one in records_of):
         return
     volts = np.array([[float(one.of(c).mean()) for c in channels] for one in records_of])
-    u = np.array([_u_mean(noise[c], bodies) for c in channels])
+    u = np.array(
+        [max(_u_mean(noise[c], bodies), _scatter(column, up)) for c, column in zip(channels, volts.T, strict=True)]
+    )
     try:
         fit = triad.fit_directions(volts, up, gravity.value, gravity.u, u, tilt / math.sqrt(3.0))
     except BadInput as error:
@@ -98,7 +100,16 @@ def _angles(
 def _u_mean(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:
     """Standard deviation of the pose means about their common mean: noise of a record and wandering between records."""
     begin = np.array([float(body["start"]) for body in bodies])
-    covariance = noise.fit.model.covariance(begin, begin + np.array([float(body["seconds"]) for body in bodies]))
+    covariance = noise.slow.covariance(begin, begin + np.array([float(body["seconds"]) for body in bodies]))
     count = len(bodies)
     free = np.eye(count) - 1.0 / count
     return math.sqrt(float(np.trace(free @ covariance @ free)) / max(count - 1, 1))
+
+
+def _scatter(volts: Array, up: Array) -> float:
+    """Standard deviation of one channel's means about its own four parameters; zero if there are none to spare."""
+    if len(volts) < 6:
+        return 0.0
+    design = np.column_stack([up, np.ones(len(up))])
+    left = volts - design @ np.linalg.lstsq(design, volts, rcond=None)[0]
+    return math.sqrt(float(left @ left) / (len(volts) - 4))

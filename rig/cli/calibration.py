@@ -21,9 +21,10 @@ FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
 @click.command(short_help="Calibrate a unit from its runs.")
 @RUN_NAMES
 @click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@click.option("--monte-carlo", is_flag=True, help="Check the budgets of sensitivities by GUM Supplement 1.")
 @runs_option
 @json_option
-def calibrate(names: tuple[str, ...], name: str | None, runs: Path, as_json: bool) -> None:
+def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs: Path, as_json: bool) -> None:
     """Merge runs of one unit (axes, remounts, both senses, tumbles, records at rest) into one calibration.
 
     It is written to calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
@@ -34,15 +35,40 @@ def calibrate(names: tuple[str, ...], name: str | None, runs: Path, as_json: boo
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     save(made, path)
+    intervals = _intervals(made) if monte_carlo else []
     if as_json:
-        print_json(_as_json(made, path))
+        print_json(_as_json(made, path) | ({"monte_carlo": intervals} if monte_carlo else {}))
     else:
-        click.echo("\n".join(text_of(made)))
+        click.echo("\n".join([*text_of(made), *(_interval_text(one) for one in intervals)]))
         click.echo(f"calibration: {path}")
         click.echo(
             f"next: rig certify {' '.join(names)}, rig report {' '.join(names)}, rig export {made.name} --to ros2"
         )
     _refuse_failed(made)
+
+
+def _intervals(made: Calibration) -> list[dict[str, Any]]:
+    """Monte Carlo intervals beside the budgets' ones, SI."""
+    from rig.estimate.checking import checked
+
+    return [
+        {
+            "key": one.key,
+            "low": one.distribution.low,
+            "high": one.distribution.high,
+            "budget_low": (one.result.value or 0.0) - one.result.expanded,
+            "budget_high": (one.result.value or 0.0) + one.result.expanded,
+            "agrees": one.agrees,
+        }
+        for one in checked(made)
+    ]
+
+
+def _interval_text(one: dict[str, Any]) -> str:
+    return (
+        f"  GUM-S1 {one['key']}: {one['low']:.6g} to {one['high']:.6g}, budget {one['budget_low']:.6g} to "
+        f"{one['budget_high']:.6g} (SI): {'agrees' if one['agrees'] else 'does not agree'}"
+    )
 
 
 @click.command(short_help="Certificate of a unit: PDF and digital (DCC).")

@@ -73,9 +73,12 @@ def _triad(
             Contribution("local gravity", "B", "normal", share, "1", s, source=gravity.source),
         )  # fmt: skip
         yield Result(channel, "sensitivity_gravity", "sensitivity from gravity", s, SENSITIVITY, Budget(lines), *common)
-        offset = Contribution("noise, wandering and poses", "A", "normal", float(nine.u[3 + place]), "V", 1.0,
-                              float(max(fit.dof, 1)))  # fmt: skip
-        yield Result(channel, "offset", "zero output", float(nine.offsets[place]), "V", Budget((offset,)), *common)
+        offset = (
+            Contribution("noise, wandering and poses", "A", "normal", float(nine.u[3 + place]), "V", 1.0,
+                         float(max(fit.dof, 1))),
+            Contribution("wandering common to all poses", "A", "normal", _u_common(noise[channel], bodies), "V", 1.0),
+        )  # fmt: skip
+        yield Result(channel, "offset", "zero output", float(nine.offsets[place]), "V", Budget(offset), *common)
     yield from _angles(unit, channels, volts, u, gravity, common)
 
 
@@ -94,16 +97,26 @@ def _angles(
         line = Contribution("noise and wandering", "A", "normal", float(nine.u[6 + place]), "rad", 1.0,
                             float(max(nine.dof, 1)))  # fmt: skip
         method = ("nine parameters from the magnitude of gravity", common[1])
-        yield Result(unit, f"angle_{name}", titles[name], float(nine.angles[place]), "rad", Budget((line,)), *method)
+        departure = float(nine.angles[place]) - math.pi / 2.0
+        yield Result(unit, f"angle_{name}", titles[name], departure, "rad", Budget((line,)), *method)
 
 
 def _u_mean(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:
     """Standard deviation of the pose means about their common mean: noise of a record and wandering between records."""
-    begin = np.array([float(body["start"]) for body in bodies])
-    covariance = noise.slow.covariance(begin, begin + np.array([float(body["seconds"]) for body in bodies]))
-    count = len(bodies)
+    covariance, count = _covariance(noise, bodies), len(bodies)
     free = np.eye(count) - 1.0 / count
     return math.sqrt(float(np.trace(free @ covariance @ free)) / max(count - 1, 1))
+
+
+def _u_common(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:
+    """Standard uncertainty of the mean of all poses beyond what their scatter shows: no pose differs by it."""
+    covariance, count = _covariance(noise, bodies), len(bodies)
+    return math.sqrt(max(float(covariance.mean()) - _u_mean(noise, bodies) ** 2 / count, 0.0))
+
+
+def _covariance(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> Array:
+    begin = np.array([float(body["start"]) for body in bodies])
+    return noise.slow.covariance(begin, begin + np.array([float(body["seconds"]) for body in bodies]))
 
 
 def _scatter(volts: Array, up: Array) -> float:

@@ -9,7 +9,7 @@ export UV_PYTHON_DOWNLOADS = never
 # The machine's own certificates: a laboratory network may have its own authority.
 export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: demo test check bench lock clean
+.PHONY: demo test check bench study lock clean
 
 $(UV):
 	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
@@ -42,7 +42,10 @@ $(V)/.oracle: requirements-bench.lock $(V)/.dev
 	@touch $@
 
 bench: $(V)/.oracle ## the measured bars, printed as ratios
-	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='bench_*.py' -p no:xdist
+	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='bench_*.py' -o timeout=1800 -p no:xdist
+
+study: $(V)/.dev ## two hundred simulated worlds: how often the stated intervals hold the truth (RIG_SEEDS; ten minutes)
+	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='study_*.py' -o timeout=7200 -p no:xdist
 
 lock: $(UV) ## renew the hashed locks (names no registry)
 	@$(UV) lock -q

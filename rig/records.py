@@ -48,13 +48,17 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True)
 class Signals:
-    """Channels of one record: volts, shape (n, channels), at `instants` (n,) + `skew` (channels,), both s."""
+    """Channels of one record: volts, shape (n, channels), at `instants` (n,) + `skew` (channels,), both s.
+
+    `clipped` counts samples at the ends of the range by channel; `step` is the converter's, V.
+    """
 
     names: tuple[str, ...]
     instants: NDArray[np.float64]
     skew: NDArray[np.float64]
     volts: NDArray[np.float64]
     clipped: Mapping[str, int]
+    step: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -144,7 +148,8 @@ def signals(samples: Samples) -> Signals:
     ends = np.count_nonzero((samples.counts == 0) | (samples.counts == 65535), axis=0)
     clipped = {name: int(n) for name, n in zip(names, ends, strict=True) if n}
     instants = samples.timing.instants(0, len(samples.counts), samples.first_scan)
-    return Signals(names, instants, slots * samples.timing.convert_period, volts, clipped)
+    step = float(np.max(high - low)) / 65535.0
+    return Signals(names, instants, slots * samples.timing.convert_period, volts, clipped, step)
 
 
 def statics(records: Recorded) -> Iterator[Mapping[str, Any]]:

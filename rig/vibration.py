@@ -93,13 +93,14 @@ def chain_of(records: Recorded) -> Chain:
 
 @dataclass(frozen=True)
 class Line:
-    """One channel at one sine: amplitudes C_1…C_5 (V, complex), variance of each part (V²), mean (V)."""
+    """One channel at one sine: amplitudes C_1…C_5 (V, complex), variance of each part (V²), mean and step (V)."""
 
     amplitudes: Complexes
     variance: NDArray[np.float64]
     mean: float
     residual_rms: float
     dof: float
+    step: float = 0.0
     flags: tuple[str, ...] = ()
 
 
@@ -213,6 +214,7 @@ def _lines(found: Signals, frequency: float) -> dict[str, Line]:
             mean=float(solution[2 * harmonics, column]),
             residual_rms=float(np.sqrt(np.sum(left[:, column] ** 2) / dof)),
             dof=variances[0].dof,
+            step=found.step,
             flags=(f"clipped ({found.clipped[name]} samples)",) if found.clipped.get(name) else (),
         )
     return lines

@@ -99,7 +99,7 @@ def test_every_relative_link_of_a_page_leads_to_a_file(page: Path) -> None:
 
 def test_the_reference_names_every_command() -> None:
     done = subprocess.run([sys.executable, "-m", "rig", "--help"], capture_output=True, text=True, check=True)
-    names = re.findall(r"^  ([a-z]+)  ", done.stdout.partition("Commands:")[2], re.MULTILINE)
+    names = re.findall(r"^  ([a-z-]+)  ", done.stdout.partition("Commands:")[2], re.MULTILINE)
     reference = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
     assert names
     assert not [name for name in names if f"`rig {name}" not in reference]

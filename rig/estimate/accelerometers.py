@@ -13,7 +13,7 @@ every point at every level with the variance of their own noise (coloured, from 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ from rig.vibration import HARMONICS, Chain, SinePoint
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Referred = Callable[[str, str, str, float, float, str], Result]  # measurand, title, unit, V, u, method: to the input
 SENSITIVITY = "V/(m/s²)"
 POLE_PRIOR = 0.5  # of the logarithm: the data sheet's bandwidth within a factor of about two
 UNLIKELY = 1e-4  # probability of a misfit below which the model is called in question
@@ -151,6 +152,7 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         Contribution(
             "vibrometer gain", "B", "normal", chain.gain.u / chain.gain.value, "1", s, source=chain.gain.source
         ),
+        Contribution("vibrometer range", "B", "normal", 0.0, "1", s, source="certificate: one gain for all ranges"),
         _prior(fit, "decoder delay", "delay", chain.delay.u, "s", chain.delay.source),
         _prior(fit, "low-pass cut-off", "cutoff", chain.u_cutoff, "1", "verification of the filter"),
         _prior(fit, "output filter", "log_pole", POLE_PRIOR, "1", "data sheet"),
@@ -203,6 +205,16 @@ def _cosine(name: str, limit: float, value: float) -> Contribution:
     """A misalignment of at most `limit` takes up to 1 − cos of it; half of that interval either way."""
     return Contribution(name, "B", "rectangular", half_width(1.0 - math.cos(limit), "rectangular"), "1", value,
                         source=f"declared limit {math.degrees(limit):.3g}°")  # fmt: skip
+
+
+def motion_noise_result(points: Sequence[SinePoint], channel: str, unit: str, refer: Referred) -> Result:
+    """Noise while the sensor moves: what the fits of all sines leave over, above the reciprocal of a record."""
+    good = [p.lines[channel] for p in points if channel in p.lines and not p.flags and not p.lines[channel].flags]
+    squares = np.array([line.residual_rms**2 - line.step**2 / 12.0 for line in good])
+    value = math.sqrt(max(float(squares.mean()), 0.0))
+    u = float(squares.std(ddof=1)) / math.sqrt(len(good)) / (2.0 * value) if value > 0.0 else 0.0
+    title = "deviation in motion: output less the fitted sines, above the reciprocal of a record"
+    return refer("deviation_in_motion", title, unit, value, u, f"residuals of {len(good)} sine fits")
 
 
 def remount_of(fits: Mapping[str, Sequence[ChannelFit]]) -> Contribution | None:

@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,7 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     shaken = _Shaken(bench)
     turned = _Turned(bench)
     results = [*shaken.results(), *turned.results()]
-    results += [*bench.noise_results(list(results), turned), *_tumble_results(bench)]
+    results += [*bench.noise_results(list(results), shaken, turned), *_tumble_results(bench)]
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
@@ -165,12 +166,14 @@ class _Bench:
             if status != "completed":
                 yield f"{records.name} is {status}: not every point of it was measured"
 
-    def noise_results(self, sensitivities: Iterable[Result], turned: _Turned) -> Iterator[Result]:
+    def noise_results(self, sensitivities: Iterable[Result], shaken: _Shaken, turned: _Turned) -> Iterator[Result]:
         """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
         own = {r.channel: r for r in sensitivities if r.measurand == "sensitivity" and r.value is not None}
         for name, noise in self.noise.items():
             yield from _noise_of(self.sensors[name], noise, scale_of(self.sensors[name], own.get(name)))
-        yield from turned.noise_in_motion({n: scale_of(self.sensors[n], r) for n, r in own.items()})
+        scales = {n: scale_of(self.sensors[n], r) for n, r in own.items()}
+        yield from turned.noise_in_motion(scales)
+        yield from shaken.noise_in_motion(scales)
 
 
 @dataclass(frozen=True)
@@ -317,6 +320,14 @@ class _Shaken:
                 if driven != sensor.axis and points:
                     yield accelerometers.cross_axis_result(points, name, driven, fit)
         yield from self._offsets()
+
+    def noise_in_motion(self, scales: Mapping[str, Scale]) -> Iterator[Result]:
+        """Of every driven channel."""
+        for name in self._whole:
+            if name in scales:
+                sensor = self._bench.sensors[name]
+                refer = partial(scales[name].result, sensor)
+                yield accelerometers.motion_noise_result(self._points_of(sensor.axis), name, sensor.unit, refer)
 
     def _offsets(self) -> Iterator[Result]:
         """Zero output from the records at rest in which the axis was horizontal."""

@@ -309,6 +309,7 @@ def centripetal_result(
         Contribution("noise and wandering", "A", "normal", float(solution.u[-1]), unit, 1.0, dof_of(noise)),
         Contribution("radius", "B", "rectangular", half_width(setup.radius, "rectangular"), "m", s / radius,
                      source=f"declared limit {setup.radius * 1e3:.3g} mm"),
+        Contribution("encoder graduation", "B", "normal", 0.0, "1", s, source="index to index: the same line twice"),
         Contribution("time base", "B", "normal", 2.0 * setup.time_base.u, "1", s, source=setup.time_base.source),
     )  # fmt: skip
     return Result(

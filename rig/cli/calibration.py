@@ -27,7 +27,8 @@ FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
 def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs: Path, as_json: bool) -> None:
     """Merge runs of one unit (axes, remounts, both senses, tumbles, records at rest) into one calibration.
 
-    It is written to calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
+    RUN is a run's name, `last`, or `all` for every completed run in the folder. The calibration is written to
+    calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
     """
     from rig.estimate.calibration import path_of, save
 
@@ -218,6 +219,8 @@ def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Cal
     from rig.run_writer import SEAL
 
     archive = Runs(runs)
+    if tuple(names) == ("all",):
+        names = [run.name for run in archive.list() if run.status == "completed"] or ["last"]
     opened = [Records(archive.open(one)) for one in dict.fromkeys(names)]
     seals = {r.name: r.run.path / SEAL for r in opened}
     made = merged(opened, "unnamed", {n: digest_of(s.read_bytes()) for n, s in seals.items() if s.exists()})

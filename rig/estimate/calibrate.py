@@ -255,24 +255,24 @@ class _Shaken:
 
     def __init__(self, bench: _Bench) -> None:
         self._bench = bench
-        self.points: dict[str, list[SinePoint]] = {}  # by run and axis
+        self.points: dict[tuple[int, int], list[SinePoint]] = {}  # by run and first point of a mounting
         self._fits: dict[str, list[ChannelFit]] = {}
         self._whole: dict[str, ChannelFit] = {}
         self._chain: Chain | None = None
-        for records in bench.runs:
+        for number, records in enumerate(bench.runs):
             if any("frequency" in body for body in records.points.values()):
                 self._chain = chain_of(records)
                 for group in _by_axis(sine_points(records, self._chain)):
-                    self.points[f"{records.name} {group[0].axis} {group[0].index}"] = group
+                    self.points[number, group[0].index] = group
         self._refuse_wrong_axis()
         self._fit()
 
     def _refuse_wrong_axis(self) -> None:
         axes = {n: s.axis for n, s in self._bench.sensors.items() if n.startswith(("unit_a", "unit_b"))}
-        for where, group in self.points.items():
+        for group in self.points.values():
             moved = wrong_axis(group, axes)
             if moved is not None:
-                raise BadInput(f"{where}: found the motion along {moved}, wanted it along {group[0].axis}: "
+                raise BadInput(f"{group[0].run}: found the motion along {moved}, wanted it along {group[0].axis}: "
                                "the cube stands on another face than the run says")  # fmt: skip
 
     def _driven(self, axis: str) -> list[Sensor]:

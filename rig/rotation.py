@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 KNOT = 32  # lines between knots: 43 ms at 45 rpm, short against wow and the motor's flutter
 DEGREE = 3
 WINDOW = 12  # knots on either side that matter at a point: an edge's influence fades by a factor of four a knot
-STRETCH = 256  # knots fitted at once
+STRETCH, OVERLAP = 256, 20  # knots fitted at once, and on either side beyond them
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Track:
         from scipy.interpolate import make_lsq_spline
 
         last = first + stretch if first + stretch < len(t) - stretch // 2 else len(t)
-        begin, end = max(first - WINDOW * per_knot, 0), min(last + WINDOW * per_knot, len(t))
+        begin, end = max(first - OVERLAP * per_knot, 0), min(last + OVERLAP * per_knot, len(t))
         here = slice(begin, end)
         inner = self.knots[(self.knots > t[begin + DEGREE]) & (self.knots < t[end - DEGREE - 1])]
         knots = np.concatenate([np.full(DEGREE + 1, t[begin]), inner, np.full(DEGREE + 1, t[end - 1])])

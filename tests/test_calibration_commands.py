@@ -1,0 +1,106 @@
+"""From records to certificates through the command line, on the simulated bench over its sockets."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from rig.bench import control
+
+
+def rig(runs: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Three short runs and one calibration, `first`."""
+    folder = tmp_path_factory.mktemp("runs")
+    for words in (
+        ("sweep", "--axis", "x", "--points", "4"),
+        ("turntable", "--rpm", "45", "--revolutions", "4"),
+        ("noise", "--length", "20 s"),
+    ):
+        done = rig(folder, *words)
+        assert done.returncode == 0, done.stderr
+    done = rig(folder, "calibrate", "all", "--name", "first", "--json")
+    assert done.returncode == 0, done.stderr
+    (folder / "first.json").write_text(done.stdout)
+    yield folder
+    control.stop(folder / ".bench" / "simulated")
+
+
+def test_every_value_has_its_uncertainty_and_every_gap_its_reason(runs: Path) -> None:
+    said = json.loads((runs / "first.json").read_text())
+    assert said["simulated"] is True
+    assert len(said["runs"]) == 3
+    for result in said["results"]:
+        assert (result["expanded"] > 0.0) if result["value"] is not None else result["remarks"]
+    by_key = {result["key"]: result for result in said["results"]}
+    assert by_key["unit_a_x.sensitivity"]["value"] * 9.80665 == pytest.approx(0.650, rel=0.03)
+    assert by_key["unit_a_x.sensitivity"]["verdict"] == "pass"
+
+
+def test_a_calibration_is_never_overwritten(runs: Path) -> None:
+    again = json.loads(rig(runs, "calibrate", "all", "--name", "first", "--json").stdout)
+    assert again["calibration"] == "first-2"
+
+
+def test_the_certificate_is_written_twice_and_says_that_it_is_simulated(runs: Path, tmp_path: Path) -> None:
+    done = rig(runs, "certify", "all", "--name", "signed", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "signed.pdf").read_bytes().startswith(b"%PDF")
+    whole = ElementTree.tostring(ElementTree.parse(tmp_path / "signed.xml").getroot(), "unicode")
+    assert "SIMULATED" in whole
+    assert "next: rig export" in done.stdout
+
+
+def test_the_report_is_one_file_with_the_paper_s_tables_and_figures(runs: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    done = rig(runs, "report", "all", "--out", str(page))
+    assert done.returncode == 0, done.stderr
+    text = page.read_text(encoding="utf-8")
+    for wanted in ("SIMULATED", "Table I", "Table II", "Figure 4", "Figure 5", "Figure 7", "Figure 8", "Figure 9"):
+        assert wanted in text
+    assert "<script src" not in text
+
+
+@pytest.mark.parametrize(
+    ("format", "code"), [("csv", 0), ("mat", 0), ("hdf5", 0), ("python", 0), ("ros2", 2), ("kalibr", 2)]
+)
+def test_every_format_is_written_or_says_what_is_missing(runs: Path, tmp_path: Path, format: str, code: int) -> None:
+    done = rig(runs, "export", "first", "--to", format, "--rate", "200", "--out", str(tmp_path / "out"))
+    assert done.returncode == code, done.stderr
+    assert (tmp_path / "out").exists() == (code == 0)
+    assert code == 0 or "wanted" in done.stderr
+
+
+def test_two_calibrations_of_the_same_runs_agree(runs: Path) -> None:
+    rig(runs, "calibrate", "all", "--name", "second")
+    rows = json.loads(rig(runs, "compare-calibrations", "first", "second", "--json").stdout)
+    assert rows
+    assert all(row["agrees"] for row in rows)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("calibrate", "nothing"),
+        ("calibrate", "all", "--name", "../x"),
+        ("export", "nothing", "--to", "csv"),
+        ("compare-calibrations", "first", "nothing"),
+        ("export", "first", "--to", "kalibr", "--assume", "much"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(runs: Path, words: tuple[str, ...]) -> None:
+    done = rig(runs, *words)
+    assert done.returncode == 2
+    assert "found" in done.stderr
+    assert "wanted" in done.stderr

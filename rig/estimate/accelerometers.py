@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rig.errors import BadInput
 from rig.estimate.adjustment import Adjustment, Prior, adjust
+from rig.estimate.allowances import Misfit, misfit, temperature
 from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import ResponsePoint, Result, not_determined
 from rig.vibration import HARMONICS, Chain, SinePoint
@@ -30,16 +31,14 @@ Complexes = NDArray[np.complex128]
 Referred = Callable[[str, str, str, float, float, str], Result]  # measurand, title, unit, V, u, method: to the input
 SENSITIVITY = "V/(m/s²)"
 POLE_PRIOR = 0.5  # of the logarithm: the data sheet's bandwidth within a factor of about two
-UNLIKELY = 1e-4  # probability of a misfit below which the model is called in question
 
 
 @dataclass(frozen=True)
 class Setup:
     """What the budget needs beside the points: one chain of reference for all runs, and what was declared.
 
-    `beam` and `mount` are limits of the angles (rad) between beam, drive and case; `temperature_coefficient` 1/K of
-    each channel with `temperature` (mean, lowest, highest, °C); `remount` the relative standard uncertainty from
-    repeated mountings with its degrees of freedom, None if there was one mounting only.
+    `beam` and `mount` are limits of the angles (rad) between beam, drive and case; `temperature` is mean, lowest and
+    highest, °C.
     """
 
     chain: Chain
@@ -99,11 +98,9 @@ class ChannelFit:
         return np.asarray(self.sensitivity / (1.0 + 1j * frequency / self.pole))
 
     @property
-    def probability(self) -> float:
-        """Probability of a misfit at least this large if the model is right."""
-        from scipy.stats import chi2
-
-        return float(chi2.sf(self.adjustment.chi2, self.adjustment.dof))
+    def misfit(self) -> Misfit:
+        """Whether one pole describes the points."""
+        return misfit(self.adjustment.chi2, self.adjustment.dof, "one-pole response misses the points")
 
 
 def fit_channel(
@@ -144,9 +141,8 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
     `drift` is the declared temperature coefficient of the sensitivity, 1/K; None if nothing is declared.
     """
     s, adjustment, chain = fit.sensitivity, fit.adjustment, setup.chain
-    misfit = fit.probability < UNLIKELY
-    widened = math.sqrt(adjustment.chi2 / adjustment.dof) if misfit else 1.0
-    u_noise = adjustment.u_noise("log_sensitivity") * widened
+    u_noise = adjustment.u_noise("log_sensitivity") * fit.misfit.factor
+    drifting, remarks = temperature(s, drift, setup.temperature)
     lines = [
         Contribution("noise of the records", "A", "normal", u_noise, "1", s, _dof(fit), "lines beside each frequency"),
         Contribution(
@@ -159,25 +155,12 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         Contribution("time base", "B", "normal", chain.time_base.u, "1", s, source=chain.time_base.source),
         _cosine("beam to motion", setup.beam, s),
         _cosine("mounting angle", setup.mount, s),
+        *drifting,
     ]
-    remarks = []
-    if misfit:
-        remarks.append(
-            f"one-pole response misses the points by {widened:.1f} times their noise: an effect is missing; "
-            "u of the noise is widened by that factor"
-        )
     if remount is None:
-        remarks.append("repeatability across remounts not measured: one mounting")
+        remarks = ("repeatability across remounts not measured: one mounting", *remarks)
     else:
         lines.append(Contribution(remount.name, "A", "normal", remount.u, "1", s, remount.dof, remount.source))
-    if drift is None:
-        remarks.append("temperature coefficient not declared: value holds at the temperature of the records")
-    elif setup.temperature is not None:
-        span = 0.5 * (setup.temperature[2] - setup.temperature[1])
-        lines.append(
-            Contribution("temperature", "B", "rectangular", half_width(drift * span, "rectangular"), "1", s,
-                         source="declared coefficient times half the span")
-        )  # fmt: skip
     return Result(
         channel=fit.channel,
         measurand="sensitivity",
@@ -187,8 +170,8 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         budget=Budget(tuple(lines)),
         method="sine approximation (IEEE 1057, ISO 16063-11), one-pole response, weighted least squares",
         reference=f"vibrometer, {chain.gain.source}",
-        status="flagged" if misfit else "determined",
-        remarks=tuple(remarks),
+        status=fit.misfit.status,
+        remarks=(*fit.misfit.remarks, *remarks),
     )
 
 
@@ -245,7 +228,15 @@ def pole_result(fit: ChannelFit) -> Result:
     adjustment, pole = fit.adjustment, fit.pole
     names = {"delay": ("decoder delay", "s"), "cutoff": ("low-pass cut-off", "1"), "log_pole": ("output filter", "1")}
     lines = [
-        Contribution("noise of the records", "A", "normal", adjustment.u_noise("log_pole"), "1", pole, _dof(fit)),
+        Contribution(
+            "noise of the records",
+            "A",
+            "normal",
+            adjustment.u_noise("log_pole") * fit.misfit.factor,
+            "1",
+            pole,
+            _dof(fit),
+        ),
         *(
             Contribution(name, "B", "normal", adjustment.priors[prior].u, unit, pole * c)
             for prior, (name, unit) in names.items()
@@ -255,6 +246,7 @@ def pole_result(fit: ChannelFit) -> Result:
     return Result(
         fit.channel, "bandwidth", "output filter, −3 dB", pole, "Hz", Budget(tuple(lines)),
         method="one-pole response fitted to magnitude and phase", reference="vibrometer",
+        status=fit.misfit.status, remarks=fit.misfit.remarks,
     )  # fmt: skip
 
 
@@ -266,10 +258,12 @@ def curvature_result(seen: Observed, channel: str, chain: Chain, nominal_pole: f
         why = "one level at every frequency: amplitude and frequency cannot be told apart; wanted two levels"
         return not_determined(channel, "nonlinearity", title, "1", why)
     fit = fit_channel(seen, channel, chain, nominal_pole, highest)
-    line = Contribution("noise of the records", "A", "normal", fit.adjustment.u("curvature"), "1", 1.0, _dof(fit))
+    u = fit.adjustment.u("curvature") * fit.misfit.factor
+    line = Contribution("noise of the records", "A", "normal", u, "1", 1.0, _dof(fit))
     return Result(
         channel, "nonlinearity", title, fit.adjustment.value("curvature"), "1", Budget((line,)),
         method=f"levels compared, at {highest:.3g} m/s² peak", reference="vibrometer (linearity within one range)",
+        status=fit.misfit.status, remarks=fit.misfit.remarks,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.estimate.accelerometers import UNLIKELY
+from rig.estimate.allowances import Misfit, misfit, temperature
 from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import Result, not_determined
 from rig.estimate.resting import Resting
@@ -28,7 +28,6 @@ from rig.records import Reference
 
 Array = NDArray[np.float64]
 SENSITIVITY = "V/(rad/s)"
-EXTRA = ("quadratic", "cubic", "asymmetry")
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Rows:
-    """Blocks of one or several runs one below the other, for one channel: design pieces and covariance of the noise."""
+    """Blocks of one or several runs one below the other, for one channel: design pieces and covariances, V².
+
+    `covariance` is that of the noise; `timing` what the uncertain instants of block ends do, for one V/(rad/s).
+    """
 
     volts: Array
     rate: Array
@@ -61,6 +63,7 @@ class Rows:
     force: Array
     run: NDArray[np.int64]
     covariance: Array
+    timing: Array
 
 
 def rows(
@@ -90,6 +93,7 @@ def rows(
         force=np.concatenate([_force(b, cube_axis, setup.gravity) for b in parts]),
         run=run,
         covariance=covariance,
+        timing=_timing(parts),
     )
 
 
@@ -105,18 +109,16 @@ def _force(blocks: Blocks, cube_axis: int, gravity: float) -> Array:
     return mount.force(cube_axis, -blocks.square * mount.radius, blocks.acceleration * mount.radius, gravity)
 
 
-def timing_covariance(rotations: Sequence[Rotation], kinds: Sequence[str], slope: float) -> Array:
-    """What the uncertain instants of block ends do to the volts, V²: neighbours share an end, with opposite sign."""
-    sizes = [b for r in rotations for b in r.blocks if b.kind in kinds and len(b.begin)]
-    total = np.zeros((sum(len(b.begin) for b in sizes),) * 2)
+def _timing(parts: Sequence[Blocks]) -> Array:
+    """Covariance of the mean rates of holds, (rad/s)²: neighbours share an uncertain end, with opposite sign."""
+    total = np.zeros((sum(len(b.begin) for b in parts),) * 2)
     place = 0
-    for b in sizes:
+    for b in parts:
         n = len(b.begin)
-        if b.u_bound:
-            size = slope * b.rate / (b.end - b.begin) * b.u_bound
-            jacobian = np.zeros((n, n + 1))
-            jacobian[np.arange(n), np.arange(n)], jacobian[np.arange(n), np.arange(n) + 1] = size, -size
-            total[place : place + n, place : place + n] = jacobian @ jacobian.T
+        size = b.rate / (b.end - b.begin) * b.u_bound
+        jacobian = np.zeros((n, n + 1))
+        jacobian[np.arange(n), np.arange(n)], jacobian[np.arange(n), np.arange(n) + 1] = size, -size
+        total[place : place + n, place : place + n] = jacobian @ jacobian.T
         place += n
     return total
 
@@ -140,15 +142,18 @@ class GyroFit:
         return float(self.solution.parameters[-1])
 
     @property
-    def probability(self) -> float:
-        from scipy.stats import chi2
-
-        return float(chi2.sf(self.solution.chi2, self.solution.dof))
+    def misfit(self) -> Misfit:
+        """Whether a straight line describes rest and whole revolutions."""
+        return _misfit(self.solution, "block means miss a straight line")
 
     @property
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise that limits: of the flicker if there is any, else of the white noise."""
         return dof_of(self.noise)
+
+
+def _misfit(solution: Solution, what: str) -> Misfit:
+    return misfit(solution.chi2, solution.dof, what)
 
 
 def dof_of(noise: Resting) -> float:
@@ -162,47 +167,33 @@ def dof_of(noise: Resting) -> float:
 
 def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup: Setup) -> GyroFit:
     """Generalised least squares over rest and whole revolutions. Raises BadInput without either."""
-    kinds = ("rest", "hold")
-    found = rows(rotations, channel, noise, setup, kinds, 0)
+    found = rows(rotations, channel, noise, setup, ("rest", "hold"), 0)
     if not np.any(found.rate == 0.0) or not np.any(found.rate != 0.0):
         raise BadInput(f"{channel}: found only {'rest' if np.all(found.rate == 0) else 'rotation'}, wanted both")
     columns, names = _offsets(found)
     design = np.column_stack([*columns, found.rate])
     first = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
-    covariance = found.covariance + timing_covariance(rotations, kinds, float(first.parameters[-1]))
+    covariance = found.covariance + float(first.parameters[-1]) ** 2 * found.timing
     return GyroFit(channel, gls(design, found.volts, covariance, [*names, "sensitivity"]), noise)
 
 
 def sensitivity_result(fit: GyroFit, setup: Setup) -> Result:
     """Sensitivity with its budget."""
     s = fit.sensitivity
-    misfit = fit.probability < UNLIKELY
-    widened = math.sqrt(fit.solution.chi2 / fit.solution.dof) if misfit else 1.0
-    u_noise = float(fit.solution.u[-1]) * widened
+    u_noise = float(fit.solution.u[-1]) * fit.misfit.factor
+    drifting, remarks = temperature(s, setup.drift.get(fit.channel), setup.temperature)
     lines = [
         Contribution("noise and wandering", "A", "normal", u_noise, SENSITIVITY, 1.0, fit.noise_dof,
                      f"covariance from the spectrum at rest ({fit.noise.run})"),
         Contribution("time base", "B", "normal", setup.time_base.u, "1", s, source=setup.time_base.source),
+        Contribution("encoder graduation", "B", "normal", 0.0, "1", s, source="index to index: the same line twice"),
         Contribution("axis to platter axis", "B", "rectangular", half_width(1.0 - math.cos(setup.tilt), "rectangular"),
                      "1", s, source=f"declared limit {math.degrees(setup.tilt):.3g}°"),
+        *drifting,
     ]  # fmt: skip
-    remarks = []
-    if misfit:
-        remarks.append(
-            f"block means miss a straight line by {widened:.1f} times their noise: an effect is missing; "
-            "u of the noise is widened by that factor"
-        )
     if fit.channel in setup.ratiometric:
-        remarks.append(f"at the nominal supply of {setup.ratiometric[fit.channel]:g} V (ratiometric part, eq. 11)")
-    drift = setup.drift.get(fit.channel)
-    if drift is None:
-        remarks.append("temperature coefficient not declared: value holds at the temperature of the records")
-    elif setup.temperature is not None:
-        span = 0.5 * (setup.temperature[2] - setup.temperature[1])
-        lines.append(
-            Contribution("temperature", "B", "rectangular", half_width(drift * span, "rectangular"), "1", s,
-                         source="declared coefficient times half the span")
-        )  # fmt: skip
+        supply = f"at the nominal supply of {setup.ratiometric[fit.channel]:g} V (ratiometric part, eq. 11)"
+        remarks = (supply, *remarks)
     return Result(
         channel=fit.channel,
         measurand="sensitivity",
@@ -212,8 +203,8 @@ def sensitivity_result(fit: GyroFit, setup: Setup) -> Result:
         budget=Budget(tuple(lines)),
         method="whole revolutions against rest, generalised least squares",
         reference=f"encoder, index to index; time base, {setup.time_base.source}",
-        status="flagged" if misfit else "determined",
-        remarks=tuple(remarks),
+        status=fit.misfit.status,
+        remarks=(*fit.misfit.remarks, *remarks),
     )
 
 
@@ -240,12 +231,12 @@ def linearity_results(rotations: Sequence[Rotation], fit: GyroFit, setup: Setup)
     terms |= {"quadratic": found.square, "asymmetry": np.abs(found.rate)} if both else {"quadratic": found.square}
     top = float(np.abs(found.rate).max())
     if np.count_nonzero(np.abs(np.diff(np.sort(np.abs(found.rate)))) > 0.02 * top) < 2:
-        return tuple(not_determined(channel, name, _TITLES[name][0], _TITLES[name][1], _CONTINUUM) for name in EXTRA)
+        return tuple(not_determined(channel, name, *_TITLES[name], why=_CONTINUUM) for name in _TITLES)
     design = np.column_stack([*columns, *terms.values()])
     try:
         solution = gls(design, found.volts, found.covariance, [*names, *terms])
     except BadInput as error:
-        return tuple(not_determined(channel, n, *_TITLES[n], why=str(error)) for n in EXTRA)
+        return tuple(not_determined(channel, n, *_TITLES[n], why=str(error)) for n in _TITLES)
     results = [_term(fit, solution, len(columns), list(terms), name, top) for name in ("quadratic", "cubic", "lag")]
     if both:
         results.append(_term(fit, solution, len(columns), list(terms), "asymmetry", top))
@@ -268,12 +259,14 @@ def _term(fit: GyroFit, solution: Solution, before: int, terms: list[str], name:
     place = before + terms.index(name)
     power = {"quadratic": 1, "cubic": 2}.get(name, 0)
     scale = top**power / fit.sensitivity
-    value, u = float(solution.parameters[place]) * scale, float(solution.u[place]) * abs(scale)
+    odd = _misfit(solution, "block means miss the polynomial in the rate")
+    value, u = float(solution.parameters[place]) * scale, float(solution.u[place]) * abs(scale) * odd.factor
     title, unit = _TITLES[name]
     line = Contribution("noise and wandering", "A", "normal", u, unit, 1.0, fit.noise_dof)
     return Result(
         fit.channel, name, title, value, unit, Budget((line,)),
         method=f"all rates up to {math.degrees(top):.4g} °/s, generalised least squares", reference="encoder",
+        status=odd.status, remarks=odd.remarks,
     )  # fmt: skip
 
 
@@ -285,10 +278,13 @@ def coupling_result(
     found = rows(rotations, channel, noise, setup, kinds, 0)
     columns, names = _offsets(found)
     solution = gls(np.column_stack([*columns, found.rate]), found.volts, found.covariance, [*names, "coupling"])
-    line = Contribution("noise and wandering", "A", "normal", float(solution.u[-1]) / abs(own), "1", 1.0, dof_of(noise))
+    odd = _misfit(solution, "block means miss a straight line")
+    u = float(solution.u[-1]) / abs(own) * odd.factor
+    line = Contribution("noise and wandering", "A", "normal", u, "1", 1.0, dof_of(noise))
     return Result(
         channel, f"cross_coupling_{axis}", f"cross-coupling from {axis}", float(solution.parameters[-1]) / own, "1",
         Budget((line,)), method="whole revolutions against rest", reference="encoder",
+        status=odd.status, remarks=odd.remarks,
     )  # fmt: skip
 
 
@@ -304,18 +300,19 @@ def centripetal_result(
     columns, names = _offsets(found)
     solution = gls(np.column_stack([*columns, found.force]), found.volts, found.covariance, [*names, "sensitivity"])
     s, radius = float(solution.parameters[-1]), radial[0].blocks[0].mount.radius
-    unit = "V/(m/s²)"
+    unit, odd = "V/(m/s²)", _misfit(solution, "block means miss a straight line")
+    u = float(solution.u[-1]) * odd.factor
     lines = (
-        Contribution("noise and wandering", "A", "normal", float(solution.u[-1]), unit, 1.0, dof_of(noise)),
+        Contribution("noise and wandering", "A", "normal", u, unit, 1.0, dof_of(noise)),
         Contribution("radius", "B", "rectangular", half_width(setup.radius, "rectangular"), "m", s / radius,
                      source=f"declared limit {setup.radius * 1e3:.3g} mm"),
-        Contribution("encoder graduation", "B", "normal", 0.0, "1", s, source="index to index: the same line twice"),
         Contribution("time base", "B", "normal", 2.0 * setup.time_base.u, "1", s, source=setup.time_base.source),
     )  # fmt: skip
     return Result(
         channel, "sensitivity_centripetal", "sensitivity from ω²r on the turntable", s, unit, Budget(lines),
         method=f"centripetal acceleration at {radius * 1e3:g} mm, generalised least squares", reference="encoder",
-        remarks=("the radius of the cube's centre: offsets of the sensing element are not known",),
+        status=odd.status,
+        remarks=("the radius of the cube's centre: offsets of the sensing element are not known", *odd.remarks),
     )  # fmt: skip
 
 

@@ -28,6 +28,8 @@ class Recorded(Protocol):
     @property
     def name(self) -> str: ...
     @property
+    def status(self) -> str: ...
+    @property
     def header(self) -> Mapping[str, Any]: ...
     @property
     def lines(self) -> Sequence[Entry]: ...
@@ -74,7 +76,7 @@ class Records:
     """A run of the archive, its journal read once."""
 
     def __init__(self, run: Run) -> None:
-        self.run, self.name, self.header = run, run.name, run.header
+        self.run, self.name, self.status, self.header = run, run.name, str(run.status), run.header
         self.lines, self.points, self._blocks = list(run.lines()), run.points(), run.blocks()
 
     def samples(self, name: str) -> Samples:

@@ -351,6 +351,7 @@ class MemoryRecords:
     points: dict[int, Mapping[str, Any]] = field(default_factory=dict)
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
     metas: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    status: str = "completed"
 
     def block(self, name: str) -> NDArray[Any]:
         """The numbers behind a block's name; pieces of a long record are joined. KeyError if there are none."""

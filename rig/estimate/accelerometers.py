@@ -278,6 +278,9 @@ def _two_levels(seen: Observed) -> bool:
 def cross_axis_result(points: Sequence[SinePoint], channel: str, driven: str, own: ChannelFit) -> Result:
     """Share of the driven axis that a side channel shows, by its own sensitivity: mean of the in-phase part."""
     good = [p for p in points if channel in p.lines and not p.flags and not p.lines[channel].flags]
+    title = f"cross-axis from {driven}"
+    if not good:
+        return not_determined(channel, f"cross_axis_{driven}", title, "1", "no usable point: clipped or flagged")
     f = np.array([p.frequency for p in good])
     ratio = np.array([p.response(channel) for p in good]) / own.response(f)
     u = np.array([math.sqrt(float(p.lines[channel].variance[0])) / p.peak for p in good]) / np.abs(own.response(f))
@@ -289,7 +292,7 @@ def cross_axis_result(points: Sequence[SinePoint], channel: str, driven: str, ow
     remarks = (f"varies over frequency by {spread:.1f} times its noise",) if spread > 2.0 else ()
     line = Contribution("noise of the records", "A", "normal", float(weights.sum()) ** -0.5 * spread, "1", 1.0, dof)
     return Result(
-        channel, f"cross_axis_{driven}", f"cross-axis from {driven}", value, "1", Budget((line,)),
+        channel, f"cross_axis_{driven}", title, value, "1", Budget((line,)),
         method="in-phase part, weighted mean over all points", reference="vibrometer",
         status="flagged" if remarks else "determined", remarks=remarks,
     )  # fmt: skip

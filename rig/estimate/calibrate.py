@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rig import units
 from rig.errors import BadInput
 from rig.estimate import accelerometers, gyros, paper_method, resting, tumbling
-from rig.estimate.accelerometers import ChannelFit
+from rig.estimate.accelerometers import SENSITIVITY, ChannelFit
 from rig.estimate.budget import Budget, Contribution, half_width
 from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
 from rig.estimate.resting import Resting
@@ -30,6 +30,7 @@ from rig.records import Recorded, mounts, reference, signals
 from rig.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
 
 UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
+DEVIATION = "deviation at rest, 1/30 Hz to half the sampling rate"
 RANDOM_WALK = {"acceleration": "(m/s²)·√Hz", "rate": "(rad/s)·√Hz"}
 
 
@@ -79,13 +80,16 @@ class Alignment:
     declared: bool
 
 
-def alignment_of(header: Mapping[str, Any]) -> Alignment:
-    """Limits of the bench file; zero and marked as not declared if it has none."""
-    stated = header["bench_file"].get("alignment")
-    if stated is None:
+def alignment_of(runs: Sequence[Recorded]) -> Alignment:
+    """The widest limits of the runs' bench files; zero and marked as not declared if one of them has none."""
+    stated = [records.header["bench_file"].get("alignment") for records in runs]
+    if not all(stated):
         return Alignment(0.0, 0.0, 0.0, False)
-    beam, mount = (units.parse(stated[name], "angle") for name in ("beam", "mount"))
-    return Alignment(beam, mount, units.parse(stated["radius"], "length"), True)
+    beam, mount, radius = (
+        max(units.parse(one[name], kind) for one in stated)
+        for name, kind in (("beam", "angle"), ("mount", "angle"), ("radius", "length"))
+    )
+    return Alignment(beam, mount, radius, True)
 
 
 def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None) -> Calibration:
@@ -97,7 +101,7 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     header = _common_header(runs)
     sensors = sensors_of(header)
     poles = {name: sensor.bandwidth for name, sensor in sensors.items()}
-    bench = _Bench(runs, header, sensors, alignment_of(header), resting.noise_of(runs, sensors, poles))
+    bench = _Bench(runs, header, sensors, alignment_of(runs), *resting.noise_of(runs, sensors, poles))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
     results = [*shaken.results(), *turned.results()]
@@ -139,9 +143,8 @@ def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
 
 
 def _source(records: Recorded, digest: str) -> Source:
-    status = getattr(getattr(records, "run", None), "status", "completed")
     procedure = str(records.header.get("procedure") or records.header["title"])
-    return Source(records.name, procedure, str(status), digest, float(records.header["started"]))
+    return Source(records.name, procedure, records.status, digest, float(records.header["started"]))
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,7 @@ class _Bench:
     sensors: Mapping[str, Sensor]
     alignment: Alignment
     noise: Mapping[str, Resting]
+    without_noise: Mapping[str, str]
 
     @property
     def temperature(self) -> tuple[float, float, float] | None:
@@ -160,17 +164,18 @@ class _Bench:
 
     def flags(self) -> Iterator[str]:
         if not self.alignment.declared:
-            yield "no `alignment` in the bench file: the budgets contain no misalignment"
+            yield "no `alignment` in the bench file of every run: the budgets contain no misalignment"
         for records in self.runs:
-            status = getattr(getattr(records, "run", None), "status", "completed")
-            if status != "completed":
-                yield f"{records.name} is {status}: not every point of it was measured"
+            if records.status != "completed":
+                yield f"{records.name} is {records.status}: not every point of it was measured"
 
     def noise_results(self, sensitivities: Iterable[Result], shaken: _Shaken, turned: _Turned) -> Iterator[Result]:
         """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
         own = {r.channel: r for r in sensitivities if r.measurand == "sensitivity" and r.value is not None}
         for name, noise in self.noise.items():
             yield from _noise_of(self.sensors[name], noise, scale_of(self.sensors[name], own.get(name)))
+        for name, why in self.without_noise.items():
+            yield not_determined(name, "deviation", DEVIATION, self.sensors[name].unit, why)
         scales = {n: scale_of(self.sensors[n], r) for n, r in own.items()}
         yield from turned.noise_in_motion(scales)
         yield from shaken.noise_in_motion(scales)
@@ -213,7 +218,7 @@ def scale_of(sensor: Sensor, own: Result | None) -> Scale:
 
 def _noise_of(sensor: Sensor, noise: Resting, by: Scale) -> Iterator[Result]:
     how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
-    title = "deviation at rest, 1/30 Hz to half the sampling rate"
+    title = DEVIATION
     if noise.deviation is None:
         yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
     else:
@@ -258,11 +263,14 @@ class _Shaken:
         self.points: dict[tuple[int, int], list[SinePoint]] = {}  # by run and first point of a mounting
         self._fits: dict[str, list[ChannelFit]] = {}
         self._whole: dict[str, ChannelFit] = {}
+        self._unusable: dict[str, str] = {}
         self._chain: Chain | None = None
         for number, records in enumerate(bench.runs):
             if any("frequency" in body for body in records.points.values()):
-                self._chain = chain_of(records)
-                for group in _by_axis(sine_points(records, self._chain)):
+                chain = chain_of(records)
+                if self._chain is None or chain.u_cutoff > self._chain.u_cutoff:
+                    self._chain = chain  # standards are common to all runs; of their filters the least sure one counts
+                for group in _by_axis(sine_points(records, chain)):
                     self.points[number, group[0].index] = group
         self._refuse_wrong_axis()
         self._fit()
@@ -285,9 +293,7 @@ class _Shaken:
         for group in self.points.values():
             for sensor in self._driven(group[0].axis):
                 if sensor.name in group[0].lines:
-                    seen = accelerometers.observed(group, sensor.name)
-                    fit = accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
-                    self._fits.setdefault(sensor.name, []).append(fit)
+                    self._fit_mounting(group, sensor, chain)
         for name, several in self._fits.items():
             sensor = self._bench.sensors[name]
             merged = several[0]
@@ -295,6 +301,16 @@ class _Shaken:
                 whole = accelerometers.observed(self._points_of(sensor.axis), name)
                 merged = accelerometers.fit_channel(whole, name, chain, sensor.bandwidth)
             self._whole[name] = merged
+
+    def _fit_mounting(self, group: Sequence[SinePoint], sensor: Sensor, chain: Chain) -> None:
+        """One channel in one mounting; a channel without usable points does not take the others with it."""
+        try:
+            seen = accelerometers.observed(group, sensor.name)
+        except BadInput as error:
+            self._unusable[sensor.name] = f"{group[0].run}: {error}"
+            return
+        fit = accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
+        self._fits.setdefault(sensor.name, []).append(fit)
 
     def _points_of(self, axis: str) -> list[SinePoint]:
         return [point for point in self.everything() if point.axis == axis]
@@ -310,6 +326,8 @@ class _Shaken:
         limits = bench.alignment
         setup = accelerometers.Setup(chain, limits.beam, limits.mount, bench.temperature)
         remount = accelerometers.remount_of(self._fits)
+        for name in [one for one in self._unusable if one not in self._whole]:
+            yield not_determined(name, "sensitivity", "sensitivity at low frequency", SENSITIVITY, self._unusable[name])
         for name, fit in self._whole.items():
             sensor = bench.sensors[name]
             yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
@@ -371,7 +389,7 @@ class _Shaken:
 
 
 def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
-    """Best mean of correlated values and its standard uncertainty (as one record of flicker never falls below)."""
+    """Best mean of correlated values, and its standard uncertainty."""
     inverse = np.linalg.pinv(covariance, hermitian=True)
     weights = inverse.sum(axis=0)
     total = float(weights.sum())
@@ -419,6 +437,7 @@ class _Turned:
         self._bench = bench
         self._rotations: dict[str, list[Rotation]] = {}
         self._fits: dict[str, gyros.GyroFit] = {}
+        self._unusable: dict[str, str] = {}
         self._setup: gyros.Setup | None = None
         nominal = {n: s.nominal for n, s in bench.sensors.items()}
         for records in bench.runs:
@@ -432,8 +451,19 @@ class _Turned:
         if self._setup is not None:
             for axis, rotations in self._rotations.items():
                 for name in (f"gyro_{axis}", f"backup_{axis}"):
-                    if name in bench.noise:
-                        self._fits[name] = gyros.fit_gyro(rotations, name, bench.noise[name], self._setup)
+                    self._fit(name, rotations, self._setup)
+
+    def _fit(self, name: str, rotations: Sequence[Rotation], setup: gyros.Setup) -> None:
+        """One gyro on the platter's axis; why it cannot be, if its records cannot be used."""
+        clipped = sum(rotation.clipped(name) for rotation in rotations)
+        if name not in self._bench.sensors:
+            return
+        if clipped:
+            self._unusable[name] = f"{rotations[0].run}: clipped ({clipped} samples)"
+        elif name not in self._bench.noise:
+            self._unusable[name] = self._bench.without_noise.get(name, "no record at rest: its noise is not known")
+        else:
+            self._fits[name] = gyros.fit_gyro(rotations, name, self._bench.noise[name], setup)
 
     def _made(self, records: Recorded) -> gyros.Setup:
         limits, sensors = self._bench.alignment, self._bench.sensors
@@ -451,8 +481,10 @@ class _Turned:
         setup = self._setup
         if setup is None:
             return
+        for name, why in self._unusable.items():
+            yield not_determined(name, "sensitivity", "sensitivity", gyros.SENSITIVITY, why)
         for axis, rotations in self._rotations.items():
-            for name in self._bench.noise:
+            for name in [one for one in self._bench.noise if one not in self._unusable]:
                 sensor = self._bench.sensors[name]
                 if name in self._fits and name.endswith(f"_{axis}"):
                     yield from self._gyro(rotations, name, setup)
@@ -471,7 +503,7 @@ class _Turned:
         everything = [r for several in self._rotations.values() for r in several]
         for name, noise in self._bench.noise.items():
             sensor = self._bench.sensors[name]
-            with_it = [r for r in everything if name in r.blocks[0].volts]
+            with_it = [r for r in everything if name in r.blocks[0].volts and not r.clipped(name)]
             if sensor.quantity == "acceleration" and with_it:
                 found = gyros.centripetal_result(with_it, name, "xyz".index(sensor.axis), noise, setup)
                 if found is not None:

@@ -50,8 +50,13 @@ class Resting:
         return replace(model, flicker=(model.white + model.quantisation) * noise.CORNER_PERIODS / self.seconds)
 
 
-def noise_of(runs: Sequence[Recorded], channels: Iterable[str], poles: Mapping[str, float]) -> dict[str, Resting]:
-    """Noise of each channel from the longest record at rest that has it; `poles` (Hz): where to look for a filter."""
+def noise_of(
+    runs: Sequence[Recorded], channels: Iterable[str], poles: Mapping[str, float]
+) -> tuple[dict[str, Resting], dict[str, str]]:
+    """Noise of each channel from the longest record at rest that has it; `poles` (Hz): where to look for a filter.
+
+    The second mapping says why a channel has none: its record was clipped, constant or too short.
+    """
     best: dict[str, tuple[float, Recorded, str]] = {}
     wanted = set(channels)
     for records in runs:
@@ -64,25 +69,40 @@ def noise_of(runs: Sequence[Recorded], channels: Iterable[str], poles: Mapping[s
     for name, (_, records, block) in best.items():
         groups.setdefault((id(records), block), []).append(name)
     found: dict[str, Resting] = {}
+    missing: dict[str, str] = {}
     for (_, block), names in groups.items():
-        found |= _of_record(best[names[0]][1], block, names, poles)
-    return found
+        records = best[names[0]][1]
+        for name, one in _of_record(records, block, names, poles).items():
+            if isinstance(one, str):
+                missing[name] = f"{records.name}, record at rest: {one}"
+            else:
+                found[name] = one
+    return found, missing
 
 
-def _of_record(records: Recorded, block: str, names: Sequence[str], poles: Mapping[str, float]) -> dict[str, Resting]:
+def _of_record(
+    records: Recorded, block: str, names: Sequence[str], poles: Mapping[str, float]
+) -> dict[str, Resting | str]:
+    """Noise of channels of one record, or why there is none."""
     fed: dict[str, spectrum.Periodogram] = {}
+    clipped = dict.fromkeys(names, 0)
     step = 0.0
     for piece in records.pieces(block):
         for name in names:
             channel = piece.channels[piece.index(name)]
             step = (channel.high - channel.low) / 65535.0
             fed.setdefault(name, spectrum.Periodogram(piece.timing.scan_rate)).feed(piece.volts(name))
-    found = {}
+            clipped[name] += piece.clipped(name)
+    found: dict[str, Resting | str] = {}
     for name, periodogram in fed.items():
+        if clipped[name]:
+            found[name] = f"clipped ({clipped[name]} samples)"
+            continue
         try:
             lines = periodogram.result()
-        except BadInput:
-            continue  # a constant channel has no noise to speak of
+        except BadInput as error:
+            found[name] = str(error)
+            continue
         fitted = noise.fit_blocks(lines, step=step, pole=poles.get(name))
         value, dof, reason = deviation(lines, fitted, step)
         found[name] = Resting(name, records.name, block, lines.seconds, fitted, value, dof, reason)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -62,7 +62,8 @@ class Blocks:
     """Block means of one record; times are bench-clock s; all arrays have shape (n,).
 
     `rate`, `square`, `cube` are means of ω, ω², ω³ about the platter's upward axis, `acceleration` that of α.
-    `u_bound` (s) is the uncertainty of the instant where a block of a hold ends. `volts` by channel.
+    `u_bound` (s) is the uncertainty of the instant where a block of a hold ends. `volts` by channel;
+    `clipped` samples at the ends of the converter's range, by channel.
     """
 
     run: str
@@ -77,22 +78,26 @@ class Blocks:
     acceleration: Array
     u_bound: float
     volts: Mapping[str, Array]
+    clipped: Mapping[str, int]
     flags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """One turntable run: its blocks, whole turns of its holds, and noise in motion of the gyros on the axis.
+    """One turntable run: its blocks, and noise in motion of the gyros on the axis.
 
     `in_motion` holds the lines of a gyro's output during the longest hold with the fitted motion taken away, V.
     """
 
     run: str
     blocks: tuple[Blocks, ...]
-    holds: Mapping[str, Turns]
     in_motion: Mapping[str, spectrum.Lines]
     step: float
-    flags: tuple[str, ...] = field(default=())
+    flags: tuple[str, ...] = ()
+
+    def clipped(self, channel: str) -> int:
+        """Samples of a channel at the ends of the converter's range, over all blocks."""
+        return sum(block.clipped.get(channel, 0) for block in self.blocks)
 
 
 def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str, float]) -> Rotation:
@@ -102,7 +107,6 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
     """
     settings = encoder_settings(records.lines)
     found: list[Blocks] = []
-    holds: dict[str, Turns] = {}
     longest: tuple[float, Mapping[str, Any], Mount, Track] | None = None
     for entry, mounted in mounts(records):
         body = entry.body
@@ -115,7 +119,7 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
             edges = edges_of(records.pieces(body["samples"]), settings)
             track = Track(edges)
             if body["phase"] == "hold":
-                holds[str(body["label"])] = held = turns(edges, -math.inf, float(body["last_index"]) + edges.interval)
+                held = turns(edges, -math.inf, float(body["last_index"]) + edges.interval)
                 found.append(_held(records, body, mount, channels, track, held))
                 if longest is None or track.end - track.begin > longest[0]:
                     longest = (track.end - track.begin, body, mount, track)
@@ -124,7 +128,7 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
     if longest is None:
         raise BadInput(f"{records.name}: found no hold at a steady rate, wanted one for a gyro's sensitivity")
     lines, step = _noise_in_motion(records, longest[1], longest[2], longest[3], channels, nominal)
-    return Rotation(records.name, tuple(found), holds, lines, step, tuple(f for one in found for f in one.flags))
+    return Rotation(records.name, tuple(found), lines, step, tuple(f for one in found for f in one.flags))
 
 
 def _mount(settings: Mapping[str, Any]) -> Mount:
@@ -196,7 +200,7 @@ def _blocks(
     u_bound = interval / math.sqrt(12.0) if kind == "hold" else 0.0
     return Blocks(
         records.name, str(body["label"]), kind, mount, start + bounds[:-1], start + bounds[1:],
-        *motion, u_bound, volts, flags,
+        *motion, u_bound, volts, clipped, flags,
     )  # fmt: skip
 
 

@@ -52,6 +52,12 @@ def _triad(
     records_of = [signals(records.samples(body["samples"])) for body in bodies]
     if any(channels[0] not in one.names for one in records_of):
         return
+    clipped = [c for c in channels if any(c in one.clipped for one in records_of)]
+    if clipped:
+        for c in channels:
+            why = f"{records.name}: {', '.join(clipped)} clipped in a pose"
+            yield not_determined(c, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
+        return
     volts = np.array([[float(one.of(c).mean()) for c in channels] for one in records_of])
     u = np.array(
         [max(_u_mean(noise[c], bodies), _scatter(column, up)) for c, column in zip(channels, volts.T, strict=True)]

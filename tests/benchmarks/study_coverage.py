@@ -134,7 +134,7 @@ def made_noise(runs: list[fast_bench.MemoryRecords], name: str) -> Resting:
     from rig.estimate.resting import noise_of
 
     poles = {n: s.bandwidth for n, s in calibrate.sensors_of(runs[0].header).items()}
-    return noise_of(runs, [name], poles)[name]
+    return noise_of(runs, [name], poles)[0][name]
 
 
 def test_the_truth_lies_inside_the_stated_intervals_as_often_as_they_say() -> None:

@@ -29,6 +29,7 @@ class Altered:
     def __init__(self, run: fast_bench.MemoryRecords, **changes: Any) -> None:
         self._run, self._changes = run, changes
         self.name = changes.get("name", run.name)
+        self.status = str(changes.get("status", "completed"))
         self.header: Mapping[str, Any] = changes.get("header", run.header)
         self.lines: Sequence[Entry] = changes.get("lines", run.lines)
         self.points: Mapping[int, Mapping[str, Any]] = changes.get("points", run.points)
@@ -194,8 +195,29 @@ def test_a_clipped_channel_is_left_out_with_a_note(sweep: fast_bench.MemoryRecor
         counts[::50, samples.index("unit_a_x")] = 65535
         return replace(samples, counts=counts)
 
-    with pytest.raises(BadInput, match="unit_a_x: found 0 usable points"):
-        calibrate([Altered(sweep, samples=clip)], "clipped")
+    made = calibrate([Altered(sweep, samples=clip)], "clipped")
+    clipped = made.result("unit_a_x.sensitivity")
+    assert clipped.value is None
+    assert "found 0 usable points" in clipped.remarks[0]
+    assert made.result("unit_a_x.deviation").value is None
+    assert made.result("unit_b_x.sensitivity").status == "determined"
+
+
+def test_a_clipped_gyro_is_not_determined_and_the_other_is(turning: fast_bench.MemoryRecords) -> None:
+    def clip(samples: Samples) -> Samples:
+        counts = samples.counts.copy()
+        counts[5, samples.index("gyro_yaw")] = 0
+        return replace(samples, counts=counts)
+
+    made = calibrate([Altered(turning, samples=clip)], "clipped")
+    assert "clipped" in made.result("gyro_yaw.sensitivity").remarks[0]
+    assert made.result("gyro_yaw.sensitivity").value is None
+    assert made.result("gyro_yaw.deviation").value is None
+    assert made.result("backup_yaw.sensitivity").value is not None
+
+
+def test_an_interrupted_run_is_noted(sweep: fast_bench.MemoryRecords) -> None:
+    assert any("is interrupted" in flag for flag in calibrate([Altered(sweep, status="interrupted")], "half").flags)
 
 
 def test_a_record_without_its_reference_is_refused(sweep: fast_bench.MemoryRecords) -> None:
@@ -243,8 +265,9 @@ def test_an_incoherent_reference_is_left_out(sweep: fast_bench.MemoryRecords) ->
         counts[:, column] = np.clip(noisy, 1, 65534).astype(np.uint16)
         return replace(samples, counts=counts)
 
-    with pytest.raises(BadInput, match="usable points"):
-        calibrate([Altered(sweep, samples=disturb)], "noisy")
+    made = calibrate([Altered(sweep, samples=disturb)], "noisy")
+    assert made.result("unit_a_x.sensitivity").value is None
+    assert any("low coherence" in flag for flag in made.flags)
 
 
 def test_an_overdue_standard_is_refused_unless_somebody_ordered_it(sweep: fast_bench.MemoryRecords) -> None:

@@ -38,8 +38,9 @@ STRETCH, OVERLAP = 256, 20  # knots fitted at once, and on either side beyond th
 class Edges:
     """Rising edges of one record: `times` (s since its first conversion), numbered in the order seen.
 
-    `sense` is +1 or −1 about up. `index` are times of index pulses; `counts` the lines from each to the next that are
-    no whole revolutions; `interval` (s) between two samples of a channel.
+    `sense` is +1 or −1 about up. `index` are times of index pulses, `index_line` the line before each; `flagged` counts
+    from one to the next that are no whole revolutions, `missed` pulses that fell between samples; `interval` (s)
+    between two samples of a channel.
     """
 
     times: Array

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from rig.records import Records
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
+NAME = click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
 FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
 
 
 @click.command(short_help="Calibrate a unit from its runs.")
 @RUN_NAMES
-@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@NAME
 @click.option("--monte-carlo", is_flag=True, help="Check the budgets of sensitivities by GUM Supplement 1.")
 @runs_option
 @json_option
@@ -74,7 +75,7 @@ def _interval_text(one: dict[str, Any]) -> str:
 
 @click.command(short_help="Certificate of a unit: PDF and digital (DCC).")
 @RUN_NAMES
-@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@NAME
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
 @runs_option
 @json_option
@@ -159,7 +160,7 @@ def _assumed(given: Sequence[str]) -> dict[str, float]:
 
 @click.command(short_help="A page with the paper's tables and figures, drawn from runs.")
 @RUN_NAMES
-@click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+@NAME
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="File [default: reports/<name>.html].")
 @runs_option
 @json_option

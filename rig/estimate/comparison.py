@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from rig.estimate.budget import coverage_factor
-from rig.estimate.calibration import PROBABILITY, Calibration, Result, text
+from rig.estimate.calibration import Calibration, Result, text
+from rig.estimate.verdict import agrees, normalised_error
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Compared:
 
     @property
     def agrees(self) -> bool:
-        return abs(self.en) <= 1.0
+        return agrees(self.en)
 
     @property
     def words(self) -> str:
@@ -45,19 +45,20 @@ def compare(first: Calibration, second: Calibration) -> list[Compared]:
 
 
 def _compared(one: Result, other: Result) -> Compared:
-    difference = (other.value or 0.0) - (one.value or 0.0)
-    u = u_difference(one, other)
-    k = coverage_factor(min(one.dof, other.dof), PROBABILITY)
-    en = difference / (k * u) if u > 0.0 else math.copysign(math.inf, difference) if difference else 0.0
-    return Compared(one.key, text(one), text(other), difference, k * u, one.unit, en)
+    mine, theirs = float(one.value or 0.0), float(other.value or 0.0)
+    r = correlation(one, other)
+    en = normalised_error(theirs, other.expanded, mine, one.expanded, r)
+    variance = one.expanded**2 + other.expanded**2 - 2.0 * r * one.expanded * other.expanded
+    expanded = math.sqrt(max(variance, 0.0))
+    return Compared(one.key, text(one), text(other), theirs - mine, expanded, one.unit, en)
 
 
-def u_difference(one: Result, other: Result) -> float:
-    """Standard uncertainty of the difference: type B inputs of one name and source are the same error in both.
+def correlation(one: Result, other: Result) -> float:
+    """Of two results: type B inputs of one name and source are the same error in both.
 
     An origin that is not named (no source) is taken as independent.
     """
     mine = {(c.name, c.source): c.sensitivity * c.u for c in one.contributions if c.kind == "B" and c.source}
     theirs = {(c.name, c.source): c.sensitivity * c.u for c in other.contributions if c.kind == "B" and c.source}
-    common = sum(mine[o] * theirs[o] for o in mine.keys() & theirs.keys())
-    return math.sqrt(max(one.u**2 + other.u**2 - 2.0 * common, 0.0))
+    common = sum(mine[origin] * theirs[origin] for origin in mine.keys() & theirs.keys())
+    return max(-1.0, min(common / (one.u * other.u), 1.0)) if one.u and other.u else 0.0

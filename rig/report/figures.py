@@ -29,7 +29,7 @@ from rig.estimate.paper_method import (
 from rig.figures import COLOURS
 from rig.record import Samples
 from rig.records import Recorded, Signals, signals_of
-from rig.rotation import Edges, Track, edges_of, encoder_settings
+from rig.rotation import Edges, Track, edges_of, encoder_settings, graduation_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +40,7 @@ INK, GREY, OURS, PAPERS = "#1c2b3a", "#9aa5b1", "#1f5fa8", "#c2571a"
 AXES = {"x": "#1f5fa8", "y": "#c2571a", "z": "#3c8a4a"}
 DOTS = 1500  # drawn of a long record, so that the page stays small
 CYCLES = 4.0
+ARCSECOND = math.pi / 648_000.0  # rad
 LONGEST = 300.0  # s of one record that is drawn
 STYLE: Any = {
     "svg.hashsalt": "rig",
@@ -437,6 +438,26 @@ def allan_deviation(runs: Sequence[Recorded]) -> Drawing | None:
     )
 
 
+def graduation(runs: Sequence[Recorded]) -> Drawing | None:
+    """What the track leaves over line by line around the encoder's disk, in the longest hold."""
+    found = [(run, b) for run in runs for b in run.points.values() if b.get("phase") == "hold" and "samples" in b]
+    if not found:
+        return None
+    run, body = max(found, key=lambda one: float(one[1]["seconds"]))
+    disk = graduation_map(Track(edges_of(run.pieces(body["samples"]), encoder_settings(run.lines))))
+    figure, (ax,) = _new()
+    ax.plot(np.arange(len(disk.lines)), disk.lines / ARCSECOND, color=OURS, linewidth=0.6)
+    ax.axhspan(-disk.u_line / ARCSECOND, disk.u_line / ARCSECOND, color=GREY, alpha=0.25, linewidth=0)
+    ax.set(xlabel="line after the index", ylabel="residual / arcsec")
+    return Drawing(
+        figure,
+        f"Mean residual of every line of the disk over {disk.revolutions} revolutions; the band is the standard "
+        "uncertainty of one line. Slow errors around the turn are not in it: one reading head cannot tell them from "
+        "true wow of the platter. Whole revolutions feel none of it "
+        f"(run {run.name}, record “{body['label']}”).",
+    )
+
+
 @dataclass(frozen=True)
 class Plan:
     """One figure of the report: its title, how it is drawn, and the command that gives the data if they are missing."""
@@ -453,5 +474,6 @@ PLANS = (
     Plan("Figure 8: sensitivity by equation 12", figure_8, "rig turntable"),
     Plan("Figure 9: calibrated measurement over the reference", figure_9, "rig turntable"),
     Plan("Frequency response", lambda calibration, _: response(calibration), "rig sweep"),
+    Plan("Graduation of the encoder", lambda _, runs: graduation(runs), "rig turntable"),
     Plan("Allan deviation", lambda _, runs: allan_deviation(runs), "rig noise"),
 )

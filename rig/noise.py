@@ -182,6 +182,21 @@ def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp
     return fit_blocks(periodogram.result(), step=step, pole=pole, ramp=ramp)
 
 
+def fit_density(density: Density, rate: float, *, step: float, pole: float | None) -> NoiseModel:
+    """White noise and flicker behind one pole from averaged periodograms of many records.
+
+    The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. Raises BadInput for no
+    bins.
+    """
+    if not len(density.frequency):
+        raise BadInput("noise: found no line of a spectrum, wanted some")
+    names = ("white", "flicker") if pole is None else ("white", "flicker", "pole")
+    quantisation = step**2 / 6 / rate
+    start = _starting(density, names, 0.3 * rate if pole is None else min(pole, 0.3 * rate))
+    trial = _maximum(density, names, start, rate, quantisation)
+    return trial.model(rate, quantisation)
+
+
 def fit_blocks(lines: Lines, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:
     """Noise from the lines of a record, which may have been fed piece by piece; otherwise as `fit`.
 

@@ -52,7 +52,8 @@ class Recorded(Protocol):
 class Signals:
     """Channels of one record: volts, shape (n, channels), at `instants` (n,) + `skew` (channels,), both s.
 
-    `clipped` counts samples at the ends of the range by channel; `step` is the converter's, V.
+    `clipped` counts samples at the ends of the range by channel; `step` is the converter's, V. `start` is the bench
+    clock's time at which the instants begin to count, s.
     """
 
     names: tuple[str, ...]
@@ -61,6 +62,7 @@ class Signals:
     volts: NDArray[np.float64]
     clipped: Mapping[str, int]
     step: float = 0.0
+    start: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -151,7 +153,8 @@ def signals(samples: Samples) -> Signals:
     clipped = {name: int(n) for name, n in zip(names, ends, strict=True) if n}
     instants = samples.timing.instants(0, len(samples.counts), samples.first_scan)
     step = float(np.max(high - low)) / 65535.0
-    return Signals(names, instants, slots * samples.timing.convert_period, volts, clipped, step)
+    skew = slots * samples.timing.convert_period
+    return Signals(names, instants, skew, volts, clipped, step, samples.start)
 
 
 def statics(records: Recorded) -> Iterator[Mapping[str, Any]]:

@@ -140,12 +140,22 @@ class SinePoint:
         return math.hypot(mine, self.u_relative * abs(self.response(channel)))
 
 
+@dataclass(frozen=True)
+class Sine:
+    """One sine with its record and what the fit of harmonics and mean left of it, V, shape (n, channels)."""
+
+    point: SinePoint
+    record: Signals
+    left: NDArray[np.float64]
+
+
 def sine_points(records: Recorded, chain: Chain) -> list[SinePoint]:
     """Every sine of a run; raises BadInput if its record has no reference or too few cycles."""
-    return list(_points(records, chain))
+    return [sine.point for sine in sines(records, chain)]
 
 
-def _points(records: Recorded, chain: Chain) -> Iterator[SinePoint]:
+def sines(records: Recorded, chain: Chain) -> Iterator[Sine]:
+    """The same one by one, with their records."""
     for index, body in sorted(records.points.items()):
         if "frequency" in body:
             found = signals_of(records, body)
@@ -155,14 +165,14 @@ def _points(records: Recorded, chain: Chain) -> Iterator[SinePoint]:
             yield _point(where, records.name, index, body, found, chain)
 
 
-def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Signals, chain: Chain) -> SinePoint:
+def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Signals, chain: Chain) -> Sine:
     frequency, flags = _driven(where, float(body["frequency"]), found)
-    lines = _lines(found, frequency)
+    lines, left = _lines(found, frequency)
     ldv = lines.pop("ldv")
     at = np.asarray(frequency * np.arange(1, HARMONICS + 1), np.float64)
     velocity = np.multiply(ldv.amplitudes, chain.velocity_per_volt(float(body["scale"]), at))
     magnitude = abs(complex(ldv.amplitudes[0]))
-    return SinePoint(
+    point = SinePoint(
         run=run,
         index=index,
         axis=str(body["axis"]),
@@ -176,6 +186,7 @@ def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Sig
         reference_line=ldv,
         flags=(*flags, *(f"reference {flag}" for flag in ldv.flags), *_incoherent(ldv, body)),
     )
+    return Sine(point, found, left)
 
 
 def _driven(where: str, nominal: float, found: Signals) -> tuple[float, tuple[str, ...]]:
@@ -195,8 +206,8 @@ def _countable(frequency: float, rate: float) -> int:
     return max(1, min(HARMONICS, math.floor(0.49 * rate / frequency)))
 
 
-def _lines(found: Signals, frequency: float) -> dict[str, Line]:
-    """Lines of every channel in one solution: the skew only turns the amplitudes."""
+def _lines(found: Signals, frequency: float) -> tuple[dict[str, Line], NDArray[np.float64]]:
+    """Lines of every channel in one solution (the skew only turns the amplitudes), and what it leaves over."""
     harmonics = _countable(frequency, found.rate)
     design = tone.design(found.instants, frequency, harmonics)
     solution = np.linalg.lstsq(design, found.volts, rcond=tone.SEPARABLE)[0]
@@ -217,7 +228,7 @@ def _lines(found: Signals, frequency: float) -> dict[str, Line]:
             step=found.step,
             flags=(f"clipped ({found.clipped[name]} samples)",) if found.clipped.get(name) else (),
         )
-    return lines
+    return lines, np.asarray(left, np.float64)
 
 
 def _filled(values: Any) -> Any:

@@ -1,0 +1,23 @@
+"""Aliasing: a line above half the sampling rate is folded down among the signals.
+
+No hook: a test of its own looks for lines that belong to no harmonic of the motion.
+"""
+
+from rig.model import BOTH, Coordinate, Effect, Parameter
+
+
+class Aliasing(Effect):
+    stage = "sampling"
+    title = "aliasing"
+    equation = "f_shown = |frequency − k·f_sampling|, k whole, f_shown ≤ f_sampling/2"
+    quantities = BOTH
+    coordinates = (Coordinate("amplitude", 1e-4), Coordinate("frequency", 1.0))
+    parameters = (
+        Parameter("amplitude", "V", (0.0, 1.0), (1e-4, 1e-2)),
+        Parameter("frequency", "Hz", (1500.0, 1e6), (2e4, 8e4)),
+    )
+    missing = "a narrow line at no harmonic of motion, turn or mains, the same volts at every level and at rest"
+    confused_with = ("spur", "mains_hum", "motor_pickup")
+    separate_by = "another sampling rate: a folded line moves, a real one stays"
+    source = "effects.md E05, S29"
+    looks_in = "lines"

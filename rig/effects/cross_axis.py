@@ -1,0 +1,22 @@
+"""Cross-axis: every sensor also feels a share of the next axis (x of y, y of z, z of x), as if tilted towards it."""
+
+import numpy as np
+
+from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+
+
+class CrossAxis(Effect):
+    stage = "motion"
+    title = "cross-axis sensitivity"
+    equation = "u = u_own + share·u_next"
+    quantities = BOTH
+    coordinates = (Coordinate("share", 0.01),)
+    parameters = (Parameter("share", "1", (-0.2, 0.2), (0.005, 0.03)),)
+    missing = "a copy of the driven axis in the axis before it, in phase, the same share at every frequency and level"
+    confused_with = ("transverse_motion", "multiplexer_settling", "crosstalk")
+    separate_by = "the cube turned by 90° about the driven axis, or another axis driven: a true share goes with the cube"
+    source = "effects.md S03, S04; IEEE 1293"
+
+    def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
+        whole = motion.rate if channels.rates.any() else motion.force
+        return np.asarray(felt + at["share"] * whole[(channels.axis + 1) % 3])

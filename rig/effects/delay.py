@@ -1,0 +1,23 @@
+"""Pure delay: the output is right, but late by the same time at every frequency."""
+
+import math
+
+import numpy as np
+
+from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Parameter, Values
+
+
+class Delay(Effect):
+    stage = "dynamics"
+    title = "pure delay"
+    equation = "H = exp(−j·2π·f·time)"
+    quantities = BOTH
+    coordinates = (Coordinate("time", 5e-6),)
+    parameters = (Parameter("time", "s", (0.0, 0.1), (5e-6, 1e-4)),)
+    missing = "the phase lags exactly ∝ f, in every channel of this quantity alike, while the gain is right at every f"
+    confused_with = ("ldv_delay", "channel_skew", "first_order_lag", "butterworth_filter", "moving_average")
+    separate_by = "a wider band with magnitude and phase, and the scan in another order: skew goes with the slot"
+    source = "effects.md S16"
+
+    def response(self, frequency: Array, at: Values) -> Complexes:
+        return np.asarray(np.exp(-2j * math.pi * frequency * at["time"]))

@@ -1,0 +1,21 @@
+"""Quadratic nonlinearity: the output bends one way for both signs; vibration is rectified."""
+
+import numpy as np
+
+from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+
+
+class Quadratic(Effect):
+    stage = "transducer"
+    title = "quadratic nonlinearity"
+    equation = "V/S = u + coefficient·u²"
+    quantities = BOTH
+    coordinates = (Coordinate("coefficient", 1e-4),)
+    parameters = (Parameter("coefficient", "1/(SI)", (-0.05, 0.05), (5e-5, 5e-4)),)
+    missing = "a line at 2f and a shift of the mean, both growing as the square of the level; of a gyro, a part ∝ ω²"
+    confused_with = ("asymmetry", "g_sensitivity", "saturation")
+    separate_by = "a second level (square law against linear); of a gyro, a second radius or the cube turned by 90°"
+    source = "effects.md S05, S26; vibration rectification in IEEE 1293"
+
+    def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
+        return np.asarray(u + at["coefficient"] * u**2)

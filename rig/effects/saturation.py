@@ -1,0 +1,31 @@
+"""Saturation: beyond a limit the output stays where it is."""
+
+import numpy as np
+
+from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Quantity, Values
+
+SHARES = (0.998, 0.99, 0.97, 0.93, 0.87, 0.75, 0.6)  # of the largest input, where a fit may start
+
+
+class Saturation(Effect):
+    """Nothing happens while the limit is above every input, so fits start with a limit somewhat below the largest."""
+
+    stage = "transducer"
+    title = "saturation"
+    equation = "V/S = min(max(u, −limit), limit)"
+    quantities = BOTH
+    coordinates = (Coordinate("limit", 0.02, starts=(1e3,)),)  # 1e3: where it vanishes
+    parameters = (Parameter("limit", "SI", (0.0, 1e3), (4.0, 20.0)),)
+    missing = "flat tops: above one level gain falls and lines at 3f and 5f rise at once, below it nothing; no phase"
+    confused_with = ("cubic", "quadratic", "odd_quadratic")
+    separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at the limit"
+    source = "effects.md S09"
+
+    def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
+        return np.asarray(np.clip(u, -at["limit"], at["limit"]))
+
+    def starts(self, motion: Motion, on: Quantity | None) -> list[dict[str, float]]:
+        """Shares of the largest input that varies: the drive's amplitude, or the rate of the table."""
+        swing = motion.along[:, 1] if motion.place == "shaker" else motion.rate
+        peak = float(np.max(np.abs(swing), initial=0.0))
+        return [{"limit": share * peak} for share in SHARES]

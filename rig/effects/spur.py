@@ -1,0 +1,23 @@
+"""Spur: one narrow line in the noise, of the sensor's own clock or of something that hums nearby.
+
+No hook: a test of its own looks for lines that belong to no harmonic of the motion.
+"""
+
+from rig.model import BOTH, Coordinate, Effect, Parameter
+
+
+class Spur(Effect):
+    stage = "noise"
+    title = "spurious line"
+    equation = "u += amplitude·cos(2π·frequency·t + any phase)"
+    quantities = BOTH
+    coordinates = (Coordinate("amplitude", 1e-3), Coordinate("frequency", 1.0))
+    parameters = (
+        Parameter("amplitude", "SI", (0.0, 10.0), (1e-4, 1e-1)),
+        Parameter("frequency", "Hz", (0.0, 1e6), (1.0, 1500.0)),
+    )
+    missing = "a narrow line at no harmonic of motion, turn or mains, also at rest; the Allan deviation swings"
+    confused_with = ("aliasing", "mains_hum", "motor_pickup")
+    separate_by = "another sampling rate: a real line stays where it is, a folded one moves"
+    source = "effects.md N07, S29"
+    looks_in = "lines"

@@ -1,0 +1,35 @@
+"""Transverse motion: the shaker's table also moves up and down, most at a mode."""
+
+import numpy as np
+
+from rig.model import Coordinate, Effect, Motion, Parameter, Periods, Values
+
+FREQUENCIES = tuple(float(f) for f in np.geomspace(90.0, 1000.0, 16).round(1))  # Hz, where a fit may start
+
+
+class TransverseMotion(Effect):
+    stage = "motion"
+    title = "transverse motion of the shaker"
+    equation = "a_up = ratio·a/(1 − r² + 2j·damping·r), r = f/frequency"
+    places = ("shaker",)
+    coordinates = (
+        Coordinate("ratio", 2e-3),
+        Coordinate("frequency", 2.0, starts=FREQUENCIES),
+        Coordinate("damping", 0.005, starts=(0.03, 0.12)),
+    )
+    parameters = (
+        Parameter("ratio", "1", (-1.0, 1.0), (0.005, 0.05)),
+        Parameter("frequency", "Hz", (50.0, 5000.0), (150.0, 900.0)),
+        Parameter("damping", "1", (0.003, 1.0), (0.02, 0.1)),
+    )
+    missing = "a line at f on the upright accelerometers, with a peak and a turn of phase at one frequency, ∝ the level"
+    confused_with = ("cross_axis", "crosstalk", "rocking")
+    separate_by = "the cube turned by 180° about the drive: true motion turns its sign, a cross-axis share does not"
+    source = "effects.md M02; ISO 16063-21"
+
+    def motion(self, motion: Motion, at: Values) -> Motion:
+        if motion.place != "shaker" or not isinstance(motion.grid, Periods) or at["ratio"] == 0.0:
+            return motion
+        r = motion.grid.harmonics / at["frequency"]
+        upward = motion.driven_by(np.asarray(at["ratio"] / (1.0 - r**2 + 2j * at["damping"] * r), np.complex128))
+        return motion.with_force(motion.up[:, :, None] * upward)

@@ -1,0 +1,61 @@
+"""What is known of the bench only within a stated uncertainty: adjusted together with every model, never named missing.
+
+They are effects like those of the shelf, with a prior: the decoder's delay and the low-pass filter's cut-off on the
+shaker, the first two orders of the encoder's graduation on the turntable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rig.errors import BadInput
+from rig.model import Array, Complexes, Coordinate, Effect, Parameter, Term, Values
+from rig.records import Recorded, reference
+from rig.shelf import effect_of, nothing_of
+from rig.vibration import Chain, chain_of
+
+
+class FilterCutoff(Effect):
+    """The reference's low-pass filter is not quite where its verification puts it."""
+
+    stage = "reference"
+    title = "cut-off of the reference's low-pass filter"
+    equation = "a_true = a_shown·H(f; cutoff)/H(f; cutoff·(1 + relative))"
+    places = ("shaker",)
+    coordinates = (Coordinate("relative", 1e-3),)
+    parameters = (Parameter("relative", "1", (-0.2, 0.2), (1e-4, 3e-2)),)
+    missing = "phase of the reference ∝ f, a little bent towards the cut-off"
+    separate_by = "verification of the filter with the analyzer"
+    source = "effects.md L10"
+
+    def __init__(self, chain: Chain) -> None:
+        self.name, self._chain = "filter_cutoff", chain  # type: ignore[misc]
+
+    def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
+        return np.asarray(along * (1.0 + at["relative"] * self._chain.phase_per_cutoff(frequency)))
+
+
+def of_shaker(runs: Sequence[Recorded]) -> list[Term]:
+    """Decoder delay and cut-off, with the uncertainty of the least sure run."""
+    chains = [chain_of(run) for run in runs]
+    widest = max(chains, key=lambda chain: chain.u_cutoff)
+    delay = nothing_of(effect_of("ldv_delay"), None)
+    found = [Term(delay.effect, None, delay.at, {"time": widest.delay.u})]
+    if widest.u_cutoff > 0.0:
+        found.append(Term(FilterCutoff(widest), None, {"relative": 0.0}, {"relative": widest.u_cutoff}))
+    return found
+
+
+def of_turntable(runs: Sequence[Recorded]) -> list[Term]:
+    """The first two orders of the graduation, within its stated uncertainty."""
+    try:
+        u = reference(runs[0], "encoder", "graduation").u
+    except BadInput:
+        return []
+    found = []
+    for name in ("encoder_eccentricity", "encoder_second_harmonic"):
+        term = nothing_of(effect_of(name), None)
+        found.append(Term(term.effect, None, term.at, dict.fromkeys(term.at, u)))
+    return found

@@ -1,0 +1,288 @@
+"""Which effect of the shelf takes away most of what a model leaves over: score test first, full refits of the best.
+
+The score of a candidate is the decrease of χ² that its columns promise once the model's own parameters have been
+readjusted (one linear projection; Rao 1948). A candidate whose columns lie within the span of the model's cannot be
+seen in this data at all. The best candidates are then refitted with all parameters free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.estimate import fit as fitting
+from rig.estimate.fit import Fit, fitted
+from rig.model import Effect, Quantity, Term
+from rig.motion import Array
+
+HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
+NARROW = 0.2  # of a column's norm outside the span: below it a refit needs all columns afresh
+ROUNDS = 8
+SETTLED = 0.02  # of χ²
+
+
+@dataclass(frozen=True)
+class Score:
+    """A candidate before it is refitted: linear estimate and the decrease of χ² it promises."""
+
+    start: Term
+    term: Term
+    gain: float
+    visible: float  # largest share of a column outside the span of the model
+    steps: int  # starts that were tried
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate after the refit. `gain` is the decrease of χ² and priors; `u` of the coordinates."""
+
+    term: Term
+    gain: float
+    fit: Fit
+    u: Mapping[str, float]
+    steps: int
+
+    @property
+    def name(self) -> str:
+        return self.term.effect.name
+
+    @property
+    def size(self) -> int:
+        """Numbers that were fitted."""
+        return len(fitted(self.term))
+
+
+def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
+    """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
+    places = {part.place for part in found.parts}
+    rates = {bool(r) for part in found.parts for r in part.channels.rates}
+    there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
+    result = []
+    for effect in shelf.values():
+        if effect.looks_in != looks_in or effect.absorbed or not places.intersection(effect.places):
+            continue
+        quantities: Iterable[Quantity | None] = effect.quantities or (None,)
+        for on in quantities:
+            if (on is None or (on == "rate") in rates) and (effect.name, on) not in there:
+                zero = dict.fromkeys((c.name for c in effect.coordinates), 0.0)
+                result.append(Term(effect, on, zero))
+    return result
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What every score needs of the present model, worked out once."""
+
+    found: Fit
+    inverse: Array
+    white: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, found: Fit) -> _Sight:
+        raws = fitting.predicted(found.parts, found.state)
+        white = tuple(p.whitened(raw) for p, raw in zip(found.parts, raws, strict=True))
+        return cls(found, fitting.inverse(found.normal), white)
+
+    def cross(self, columns: Array) -> Array:
+        """Products with the model's columns, (parameters, k)."""
+        found = np.zeros((len(self.inverse), columns.shape[1]))
+        for block in self.found.blocks:
+            found[block.columns] += block.matrix.T @ columns[block.rows]
+        return found
+
+    def columns(self, term: Term) -> tuple[Array, Array]:
+        """Columns of a candidate at its coordinates, (rows, k), and what it changes there already, (rows,)."""
+        found = self.found
+        parts, moved = [], []
+        for number, (part, white) in enumerate(zip(found.parts, self.white, strict=True)):
+            if part.place in term.effect.places:
+                local = found.state.local(part, number)
+                here = part.whitened(part.raw(local, [*found.state.terms, term])) if any(term.at.values()) else white
+                parts.append(fitting.term_columns(part, local, found.state.terms, term, here))
+                moved.append(here - white)
+            else:
+                parts.append(np.zeros((part.rows, len(fitted(term)))))
+                moved.append(np.zeros(part.rows))
+        whole, shift = np.concatenate(parts), np.concatenate(moved)
+        if found.use is not None:
+            whole, shift = whole * found.use[:, None], shift * found.use
+        return whole, shift
+
+
+def scores(found: Fit, terms: Iterable[Term]) -> list[Score]:
+    """The best start of every candidate, most promising first."""
+    sight = _Sight.of(found)
+    result = [_scored(sight, term) for term in terms]
+    return sorted(result, key=lambda one: -one.gain)
+
+
+def _scored(sight: _Sight, term: Term) -> Score:
+    starts = _starts(sight.found, term)
+    best = Score(term, term, 0.0, 0.0, max(len(starts), 1))
+    for start in starts:
+        one = _from(sight, term.moved(**start))
+        if one.gain > best.gain:
+            best = replace(one, visible=max(one.visible, best.visible), steps=len(starts))
+        else:
+            best = replace(best, visible=max(one.visible, best.visible))
+    return best
+
+
+def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
+    """Starts in the part that has most of the channels concerned."""
+    fitting_parts = [p for p in found.parts if p.place in term.effect.places and len(p.channels.of(term.on))]
+    if not fitting_parts:
+        return []
+    place = "turntable" if term.on == "rate" else "shaker"
+    chosen = min(fitting_parts, key=lambda part: part.place != place)
+    return term.effect.starts(chosen.reference, term.on)
+
+
+def _from(sight: _Sight, term: Term) -> Score:
+    """Linear estimate from one start."""
+    columns, moved = sight.columns(term)
+    left = sight.found.left - moved
+    cross = sight.cross(np.column_stack([columns, moved]))
+    inside, own = cross[:, :-1], columns.T @ columns
+    outside = own - inside.T @ sight.inverse @ inside
+    size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    seen = np.sqrt(np.maximum(np.diag(outside), 0.0)) / size
+    good = seen > HIDDEN
+    pull = _pull(sight, left)
+    target = columns.T @ left - inside.T @ sight.inverse @ pull
+    if good.any():
+        # unseen directions stay where they are
+        reduced = outside[np.ix_(good, good)]
+        step = np.zeros(len(size))
+        step[good] = fitting.inverse(reduced) @ target[good]
+        gained = float(target @ step)
+    else:
+        step, gained = np.zeros(len(size)), 0.0
+    if np.any(moved):
+        before = float(left @ left) - float(pull @ sight.inverse @ pull)
+        gained += float(sight.found.left @ sight.found.left) - before
+        seen = np.append(seen, 1.0)
+    at = dict(zip(fitted(term), step.tolist(), strict=True))
+    where = term.moved(**{name: term.at[name] + change for name, change in at.items()})
+    return Score(term, where, gained, float(seen.max(initial=0.0)), 1)
+
+
+def _pull(sight: _Sight, left: Array) -> Array:
+    """Gradient of the model's parameters for these rows (priors included)."""
+    return sight.found.downhill + sight.cross((left - sight.found.left)[:, None])[:, 0]
+
+
+def refitted(found: Fit, score: Score) -> Candidate:
+    """All parameters and the candidate's adjusted together.
+
+    The model's own columns stay as they were where the candidate stands out from them; where it nearly lies within
+    their span, all move far and are worked out afresh at every step.
+    """
+    return _afresh(found, score) if score.visible < NARROW else _quickly(found, score)
+
+
+def _afresh(found: Fit, score: Score) -> Candidate:
+    state = replace(found.state, terms=(*found.state.terms, score.start))
+    made = fitting.fit(found.parts, state, use=found.use, iterations=ROUNDS)
+    return Candidate(made.state.terms[-1], found.objective - made.objective, made,
+                     made.u(len(made.state.terms) - 1), score.steps)  # fmt: skip
+
+
+def _quickly(found: Fit, score: Score) -> Candidate:
+    sight = _Sight.of(found)
+    size = len(found.normal)
+    state = replace(found.state, terms=(*found.state.terms, score.term))
+    order = fitting.layout(found.parts, state)
+    state, left = _readjusted(sight, state, order, size)
+    objective = float(left @ left) + fitting.penalty(found.parts, state)
+    normal = found.normal
+    for _ in range(ROUNDS):
+        columns = _candidate_columns(found, state)
+        cross = sight.cross(columns)
+        normal = np.block([[found.normal, cross], [cross.T, columns.T @ columns]])
+        gradient = np.concatenate([_gradient(sight, state, left), columns.T @ left])
+        step = fitting.inverse(normal) @ gradient
+        moved = _improved(found, state, order, step, objective)
+        if moved is None:
+            break
+        gained = objective - moved[2]
+        state, left, objective = moved
+        if gained < SETTLED:
+            break
+    covariance = fitting.inverse(normal)
+    u = np.sqrt(np.maximum(np.diag(covariance)[size:], 0.0))
+    made = Fit(found.parts, state, order, left, found.blocks, normal, np.zeros(len(normal)), float(left @ left),
+               objective - float(left @ left), found.use)  # fmt: skip
+    return Candidate(state.terms[-1], found.objective - objective, made,
+                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps)  # fmt: skip
+
+
+def _readjusted(
+    sight: _Sight, state: fitting.State, order: fitting.Layout, size: int
+) -> tuple[fitting.State, Array]:
+    """The model's own parameters moved to where the candidate's start wants them."""
+    found = sight.found
+    left = fitting.residual(found.parts, state, found.use)
+    step = np.concatenate([sight.inverse @ _pull(sight, left), np.zeros(order.size - size)])
+    moved = fitting.stepped(state, order, step)
+    after = fitting.residual(found.parts, moved, found.use)
+    return (moved, after) if float(after @ after) < float(left @ left) else (state, left)
+
+
+def _gradient(sight: _Sight, state: fitting.State, left: Array) -> Array:
+    """Of the model's own parameters at a state, with the columns as they were."""
+    found = sight.found
+    rows = sight.cross(left[:, None])[:, 0]
+    values, weights = fitting.prior_of(found.parts, replace(state, terms=state.terms[:-1]))
+    return np.asarray(rows - weights * values)
+
+
+def _candidate_columns(found: Fit, state: fitting.State) -> Array:
+    *others, term = state.terms
+    columns = [
+        fitting.term_columns(part, state.local(part, n), others, term) for n, part in enumerate(found.parts)
+    ]
+    whole = np.concatenate(columns)
+    return whole if found.use is None else whole * found.use[:, None]
+
+
+def _improved(
+    found: Fit, state: fitting.State, order: fitting.Layout, step: Array, objective: float
+) -> tuple[fitting.State, Array, float] | None:
+    for _ in range(fitting.HALVINGS):
+        moved = fitting.stepped(state, order, step)
+        left = fitting.residual(found.parts, moved, found.use)
+        after = float(left @ left) + fitting.penalty(found.parts, moved)
+        if math.isfinite(after) and after < objective:
+            return moved, left, after
+        step = 0.5 * step
+    return None
+
+
+def admissible(term: Term, u: Mapping[str, float]) -> bool:
+    """Whether the parameters are within what physics allows, give or take their uncertainty."""
+    for sign in (0.0, 1.0, -1.0):
+        at = {name: value + sign * 2.0 * u.get(name, 0.0) for name, value in term.at.items()}
+        physical = term.effect.physical(at)
+        if all(_within(physical[p.name], p.bounds) for p in term.effect.parameters):
+            return sign == 0.0 or _mostly_inside(term, u)
+    return False
+
+
+def _mostly_inside(term: Term, u: Mapping[str, float]) -> bool:
+    """Outside by less than two standard uncertainties."""
+    return all(abs(term.at[name]) < 2.0 * one for name, one in u.items())
+
+
+def _within(value: float, bounds: tuple[float, float]) -> bool:
+    return math.isfinite(value) and bounds[0] <= value <= bounds[1]
+
+
+def best(found: Fit, candidates: Sequence[Score], most: int, least: float) -> list[Candidate]:
+    """Refits of the most promising candidates, best first; those that promise less than `least` of χ² are left."""
+    chosen = [score for score in candidates if score.gain > least][:most]
+    refits = [refitted(found, score) for score in chosen]
+    return sorted((one for one in refits if admissible(one.term, one.u)), key=lambda one: -one.gain)

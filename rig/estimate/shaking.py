@@ -1,0 +1,261 @@
+"""From a run on the shaker to `SineRecords`, one for every mounting: lines, noise and conditions of each record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import noise, units
+from rig.estimate.channels import channels_of
+from rig.estimate.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
+from rig.model import Channels
+from rig.motion import ORDERS
+from rig.records import Recorded, Signals, mounts, reference, signals
+from rig.spectrum import Density, log_bins
+from rig.vibration import Chain, Sine, SinePoint, chain_of, sines
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+PER_DECADE = 20.0
+LONGEST = 60.0  # s of a record at rest that are looked at
+LIMIT = 1.5  # lines beside one that was fitted, or mains: not noise
+
+
+@dataclass(frozen=True)
+class _Record:
+    """One record, or a piece of one at rest."""
+
+    begin: float
+    seconds: float
+    lines: Complexes  # (c, LINES)
+    usable: NDArray[np.bool_]  # (c,)
+    leftover: Leftover
+    temperature: float
+    supply: float
+    before: Complexes
+    point: SinePoint | None
+    reference_variance: Array
+
+
+def shaken(records: Recorded) -> list[SineRecords]:
+    """Every mounting of a run on the shaker with sines; [] for a run that has none. Raises BadInput as `sines` does."""
+    if not any("frequency" in body for body in records.points.values()):
+        return []
+    chain = chain_of(records)
+    mains = units.parse(str(records.header["bench_file"]["mains"]), "frequency")
+    made: list[SineRecords] = []
+    for number, (axis, bodies, statics) in enumerate(_mountings(records)):
+        whole = [one for body in statics for one in _resting(records, body, mains)]
+        whole += [_driven(records, sine, chain, mains) for sine in sines(records, chain) if sine.point.index in bodies]
+        made.append(_joined(records, f"{records.name}#{number}", axis, whole, mains))
+    return made
+
+
+def _mountings(records: Recorded) -> Iterator[tuple[str, set[int], list[Mapping[str, Any]]]]:
+    """Axis, indices of its points and journal bodies of its records at rest, for every time the cube was mounted."""
+    groups: dict[int, tuple[str, set[int], list[Mapping[str, Any]]]] = {}
+    latest = -1
+    for entry, mount in mounts(records):
+        if mount is None or mount["place"] != "shaker":
+            continue
+        if entry.kind == "confirmed" and entry.body["action"] == "mount_on_shaker":
+            latest += 1
+            groups[latest] = (str(mount["axis"]), set(), [])
+        elif latest in groups and entry.kind in ("point", "step"):
+            if "frequency" in entry.body:
+                groups[latest][1].add(int(entry.body["index"]))
+            elif "purpose" in entry.body and "samples" in entry.body:
+                groups[latest][2].append(entry.body)
+    yield from (group for group in groups.values() if group[1])
+
+
+def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterator[_Record]:
+    """Pieces of about one second of a record at rest."""
+    found = signals(records.samples(str(body["samples"])))
+    if "ldv" not in found.names:
+        return
+    seconds = min(len(found.instants) / found.rate, LONGEST)
+    each = round(found.rate * seconds / max(1, math.floor(seconds)))
+    for first in range(0, min(len(found.instants), round(LONGEST * found.rate)) - each + 1, each):
+        here = slice(first, first + each)
+        volts = found.volts[here]
+        mean = volts.mean(axis=0)
+        lines = np.zeros((volts.shape[1], LINES), np.complex128)
+        lines[:, 0] = mean
+        lines[:, 1:ORDERS] = np.nan
+        yield _record(found, found.start + float(found.instants[first]), lines, volts - mean, None, mains,
+                      np.full(ORDERS, np.nan))  # fmt: skip
+
+
+def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Record:
+    point, found = sine.point, sine.record
+    every = {**point.lines, "ldv": point.reference_line}
+    lines = np.full((len(found.names), LINES), np.nan, np.complex128)
+    for c, name in enumerate(found.names):
+        lines[c, 0] = every[name].mean
+        lines[c, 1:ORDERS] = every[name].amplitudes
+    at = np.asarray(point.frequency * np.arange(1, ORDERS), np.float64)
+    per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
+    variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, at)])
+    return _record(found, found.start + float(found.instants[0]), lines, sine.left, point, mains, variance)
+
+
+def _reference_noise(sine: Sine, at: Array) -> Array:
+    """Variance of each part of the reference's lines, V², from its own record within an octave either way."""
+    found = sine.record
+    left = sine.left[:, found.names.index("ldv")]
+    count = len(left)
+    power = np.abs(np.fft.rfft(left)) ** 2 * (2.0 / count**2)
+    f = np.fft.rfftfreq(count, 1.0 / found.rate)
+    order = f / sine.point.frequency
+    free = np.abs(order - np.round(order)) * sine.point.frequency > LIMIT * found.rate / count
+    result = []
+    for one in at:
+        near = free & (f > min(0.5 * one, 0.25 * found.rate)) & (f < max(2.0 * one, 100.0 * found.rate / count))
+        result.append(float(power[near].mean()) if near.any() else float(power[1:].mean()))
+    return np.array(result)
+
+
+def _record(
+    found: Signals, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float, variance: Array
+) -> _Record:
+    count = len(left)
+    resolution = found.rate / count
+    spectrum = np.fft.rfft(left, axis=0) * (2.0 / count)
+    at = np.arange(len(spectrum)) * resolution
+    spectrum *= np.exp(-2j * math.pi * at[:, None] * found.skew)
+    for place, order in enumerate(MAINS_ORDERS, ORDERS):
+        lines[:, place] = _at(left, found, order * mains)
+    lines[:, ORDERS:] *= np.exp(-2j * math.pi * mains * np.array(MAINS_ORDERS) * begin)
+    step = float(np.diff(np.sort(found.skew))[0]) if len(found.skew) > 1 else 0.0
+    names = list(found.names)
+    free = np.array([not found.clipped.get(name) for name in names])
+    return _Record(
+        begin=begin,
+        seconds=count / found.rate,
+        lines=lines,
+        usable=free,
+        leftover=Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], _taken(at, point, resolution)),
+        temperature=_mean(found, "temperature", 100.0),
+        supply=_mean(found, "supply", 1.0),
+        before=_before(lines, point, mains, step),
+        point=point,
+        reference_variance=variance,
+    )
+
+
+def _at(left: Array, found: Signals, frequency: float) -> Complexes:
+    """Amplitude at one frequency of every channel, at a common instant."""
+    t = np.arange(len(left)) / found.rate
+    turned = np.exp(-2j * math.pi * frequency * t) @ left * (2.0 / len(left))
+    return np.asarray(turned * np.exp(-2j * math.pi * frequency * found.skew))
+
+
+def _taken(at: Array, point: SinePoint | None, resolution: float) -> NDArray[np.bool_]:
+    taken = at < 0.5 * resolution
+    if point is not None:
+        order = at / point.frequency
+        near = np.abs(order - np.round(order)) * point.frequency < LIMIT * resolution
+        taken |= near & (np.round(order) < ORDERS)
+    return np.asarray(taken)
+
+
+def _mean(found: Signals, name: str, factor: float) -> float:
+    return float(found.of(name).mean()) * factor if name in found.names else math.nan
+
+
+def _before(lines: Complexes, point: SinePoint | None, mains: float, step: float) -> Complexes:
+    """Lines of the slot before each, one slot earlier; those of the last slot come before the first."""
+    f = np.concatenate([(point.frequency if point else 0.0) * np.arange(ORDERS), mains * np.array(MAINS_ORDERS)])
+    return np.asarray(np.roll(lines, 1, axis=0) * np.exp(-2j * math.pi * f * step))
+
+
+def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], mains: float) -> SineRecords:
+    """Records in the order of time, channels of sensors only."""
+    whole = sorted(whole, key=lambda one: one.begin)
+    cables = list(records.header["bench_file"]["cables"]["shaker"])
+    channels = channels_of(records, cables, relative_to="ldv")
+    rows = np.array([cables.index(n) for n in channels.names])
+    densities = [_density(whole, row, mains) for row in rows]
+    step = 20.0 / 65535.0
+    models = tuple(_slow(d, float(pole), whole, step) for d, pole in zip(densities, channels.pole, strict=True))
+    points = [one.point for one in whole]
+    observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
+    usable = np.array([one.usable[rows] & (one.point is None or not one.point.flags) for one in whole]).T
+    return SineRecords(
+        name=name,
+        run=records.name,
+        axis=axis,
+        channels=channels,
+        observed=np.asarray(observed),
+        before=np.asarray(np.array([one.before[rows] for one in whole]).transpose(1, 0, 2)),
+        variance=_variances(densities, whole, observed, mains),
+        noise=models,
+        shown=np.nan_to_num([np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]),
+        reference_variance=np.array([one.reference_variance for one in whole]),
+        frequency=np.array([0.0 if p is None else p.frequency for p in points]),
+        nominal=np.array([0.0 if p is None else _nominal(records, p) for p in points]),
+        begin=np.array([one.begin for one in whole]),
+        end=np.array([one.begin + one.seconds for one in whole]),
+        level=tuple("rest" if p is None else p.level for p in points),
+        index=np.array([-1 if p is None else p.index for p in points]),
+        usable=usable,
+        source=np.array([0.0 if p is None else p.source for p in points]),
+        scale=np.array([0.0 if p is None else p.scale for p in points]),
+        temperature=np.array([one.temperature for one in whole]),
+        supply=np.array([one.supply for one in whole]),
+        mains=mains,
+        gravity=reference(records, "gravity", "gravity").value,
+        directions=directions(axis),
+        leftovers=tuple(_only(one.leftover, rows) for one in whole),
+        notes=tuple(f"{p.run} point {p.index}: {flag}" for p in points if p is not None for flag in p.flags),
+    )
+
+
+def _only(leftover: Leftover, rows: NDArray[np.intp]) -> Leftover:
+    return Leftover(
+        leftover.begin, leftover.resolution, leftover.amplitude[:, rows], leftover.reference, leftover.taken
+    )
+
+
+def _nominal(records: Recorded, point: SinePoint) -> float:
+    return float(records.points[point.index]["frequency"])
+
+
+def _density(whole: Sequence[_Record], row: int, mains: float) -> Density:
+    """Density of a channel's leftovers, V²/Hz, averaged over all records in bins of log frequency."""
+    gathered: list[tuple[Array, Array]] = []
+    for one in whole:
+        left = one.leftover
+        at = np.arange(len(left.amplitude)) * left.resolution
+        hum = np.abs(at / mains - np.round(at / mains)) * mains < LIMIT * left.resolution
+        free = ~left.taken & ~hum
+        free[-1] = False
+        gathered.append((at[free], np.abs(left.amplitude[free, row]) ** 2 / (2.0 * left.resolution)))
+    f, power = (np.concatenate([one[k] for one in gathered]) for k in (0, 1))
+    # equal frequencies of many records: a tiny step apart, for bins that rise
+    order = np.argsort(f, kind="stable")
+    return log_bins(f[order] * (1.0 + 1e-12 * np.arange(len(f))), power[order], PER_DECADE, 2.0)
+
+
+def _slow(density: Density, pole: float, whole: Sequence[_Record], step: float) -> noise.NoiseModel:
+    rate = whole[0].leftover.resolution * 2.0 * (len(whole[0].leftover.amplitude) - 1)
+    return noise.fit_density(density, rate, step=step, pole=pole)
+
+
+def _variances(densities: Sequence[Density], whole: Sequence[_Record], observed: Complexes, mains: float) -> Array:
+    """Variance of each part of every line, V²: density ÷ length of the record."""
+    found = np.full(observed.shape, np.nan)
+    for p, one in enumerate(whole):
+        f = np.concatenate(
+            [(one.point.frequency if one.point else math.nan) * np.arange(ORDERS), mains * np.array(MAINS_ORDERS)]
+        )
+        for c, density in enumerate(densities):
+            at = np.interp(np.log(np.where(f > 0.0, f, 1.0)), np.log(density.frequency), density.density)
+            found[c, p] = np.where(np.isfinite(observed[c, p]) & (f > 0.0), at / one.seconds, np.nan)
+    return found

@@ -1,0 +1,215 @@
+"""A turntable run as a model sees it: window means of every channel against what the encoder shows of the same windows.
+
+Sensor and reference are averaged over the same windows (the reference's mean rate is the difference of its angles at
+the ends), so that wow cannot leak in as a lag. Noise is coloured: every stretch of a few seconds is turned by a cosine
+transform, whose lines are nearly independent with the density as variance (Whittle), and the means of the stretches,
+which flicker ties together, are whitened with their covariance over the whole run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model import Channels, Local, Term, volts
+from rig.motion import Array, Motion, Stretches
+from rig.noise import NoiseModel
+
+SETTLING = 14  # windows at either end of a record of a moving platter, where its acceleration is not well known
+# Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled edges
+# leave patterns that the encoder's second and first derivative cannot tell from motion
+HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
+HELD_OUT = 3  # every third stretch is not fitted when a model is judged
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the encoder shows at every window: angle (NaN where no index ties it down), rate and acceleration; (n,)."""
+
+    angle: Array
+    rate: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class TurnRecords:
+    """One turntable run in one mounting after another: n windows of c channels.
+
+    `observed` (c, n) V. `counted` is the encoder as its lines were counted, `closed` with the lines that index pulses
+    prove lost put back. `records` bounds of the records among the windows, `stretches` bounds of the pieces that are
+    whitened together, with `moving` for each. `outward`, `tangent`, `up` unit vectors in the case frame, (3, n).
+    """
+
+    name: str
+    run: str
+    channels: Channels
+    observed: Array
+    counted: Shown
+    closed: Shown
+    lost: int
+    lines: int
+    noise: tuple[NoiseModel, ...]
+    interval: float
+    time: Array
+    records: tuple[tuple[int, int], ...]
+    labels: tuple[str, ...]
+    stretches: tuple[tuple[int, int], ...]
+    motor: NDArray[np.bool_]
+    outward: Array
+    tangent: Array
+    up: Array
+    radius: Array
+    temperature: Array
+    supply: Array
+    gravity: float
+    usable: NDArray[np.bool_]  # (c,)
+    notes: tuple[str, ...] = ()
+
+
+class Turning:
+    """A turntable run as a part of a fit."""
+
+    place = "turntable"
+
+    def __init__(self, data: TurnRecords) -> None:
+        self.data, self.name, self.channels = data, data.name, data.channels
+        self.grid = Stretches(data.interval, data.records)
+        self.extra = np.zeros((self.rows, 0))
+        self.target = self.whitened(data.observed)
+
+    @property
+    def width(self) -> int:
+        """Rows of one channel."""
+        return sum(end - begin for begin, end in self.data.stretches)
+
+    @property
+    def rows(self) -> int:
+        """Numbers compared."""
+        return self.width * len(self.channels.names)
+
+    @cached_property
+    def reference(self) -> Motion:
+        """The motion as the encoder shows it, before any effect."""
+        return self.moved(())
+
+    def moved(self, terms: Sequence[Term]) -> Motion:
+        """The true motion, once the effects of the reference are taken off what it shows."""
+        data = self.data
+        shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
+        angle, rate, acceleration = shown.angle, shown.rate, shown.acceleration
+        for term in terms:
+            more, first, second = term.effect.turned(np.nan_to_num(shown.angle), term.at)
+            angle = angle - more
+            acceleration = acceleration - shown.acceleration * first - shown.rate**2 * second
+            rate = rate - shown.rate * first
+        force = (
+            -data.outward * data.radius * rate**2 + data.tangent * data.radius * acceleration + data.up * data.gravity
+        )
+        return Motion(
+            grid=self.grid, place="turntable", force=force, rate=data.up * rate, turning=data.up * acceleration,
+            up=data.up, gravity=data.gravity, temperature=data.temperature, supply=data.supply,
+            elapsed=data.time - float(data.time[0]), angle=angle, motor=data.motor.astype(np.float64),
+            outward=data.outward, tangent=data.tangent,
+        )  # fmt: skip
+
+    def raw(self, local: Local, terms: Sequence[Term]) -> Array:
+        """Predicted window means of every channel, V, (c, n)."""
+        terms = [term for term in terms if self.place in term.effect.places]
+        changed = any(hook(type(term.effect)) for term in terms for hook in (_turns, _closes))
+        motion = self.moved(terms) if changed else self.reference
+        return np.asarray(volts(motion, self.channels, local, terms), np.float64)
+
+    @cached_property
+    def _means(self) -> Array:
+        """Inverse Cholesky factor of the covariance of the stretches' means, (c, s, s)."""
+        data = self.data
+        since = float(data.time[0])
+        begin = np.array([data.time[b] for b, _ in data.stretches]) - since - 0.5 * data.interval
+        end = np.array([data.time[e - 1] for _, e in data.stretches]) - since + 0.5 * data.interval
+        found = [np.linalg.inv(np.linalg.cholesky(model.covariance(begin, end))) for model in data.noise]
+        return np.asarray(np.array(found) * data.usable[:, None, None])
+
+    @cached_property
+    def _scales(self) -> list[Array]:
+        """Reciprocal standard deviations of the cosine lines of every stretch, (c, m − 1)."""
+        data, found = self.data, []
+        for begin, end in data.stretches:
+            count = end - begin
+            f = np.arange(1, count) / (2.0 * count * data.interval)
+            variance = np.array([model.density(f) for model in data.noise]) / (2.0 * data.interval)
+            used = data.usable[:, None] & np.ones(count - 1, np.bool_)
+            if np.any(data.counted.rate[begin:end] != 0.0):
+                used &= f < np.where(data.channels.rates, HIGHEST_RATE, HIGHEST_FORCE)[:, None]
+            found.append(used / np.sqrt(variance))
+        return found
+
+    def whitened(self, raw: NDArray[np.inexact]) -> Array:
+        """Windows in standard deviations, (rows,), channel after channel: means of the stretches, then their lines."""
+        from scipy.fft import dct
+
+        means, lines = [], []
+        for (begin, end), scale in zip(self.data.stretches, self._scales, strict=True):
+            turned = dct(raw[:, begin:end], type=2, norm="ortho", axis=1)
+            means.append(turned[:, 0] / np.sqrt(end - begin))
+            lines.append(turned[:, 1:] * scale)
+        first = np.einsum("cst,ct->cs", self._means, np.stack(means, axis=1))
+        return np.asarray(np.concatenate([first, *lines], axis=1).reshape(-1), np.float64)
+
+    def each_channel(self, raw: NDArray[np.inexact]) -> Array:
+        """Whitened changes that are every channel's own; each moves its own rows only, (rows,)."""
+        return self.whitened(raw)
+
+    def blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
+        """Rows of each channel."""
+        width = self.width
+        return [(slice(c * width, (c + 1) * width), np.array([c])) for c in range(len(self.channels.names))]
+
+    @cached_property
+    def stretch_of(self) -> NDArray[np.intp]:
+        """Which stretch a row of one channel belongs to, (width,)."""
+        lengths = [end - begin for begin, end in self.data.stretches]
+        return np.concatenate([np.arange(len(lengths)), np.repeat(np.arange(len(lengths)), np.array(lengths) - 1)])
+
+    @cached_property
+    def held_out(self) -> NDArray[np.bool_]:
+        """Rows of every third stretch, (rows,)."""
+        out = self.stretch_of % HELD_OUT == HELD_OUT - 1
+        return np.tile(out, len(self.channels.names))
+
+    @cached_property
+    def counted(self) -> NDArray[np.bool_]:
+        """Rows that carry an observation, (rows,)."""
+        means = np.repeat(self.data.usable[:, None], len(self.data.stretches), axis=1)
+        return np.concatenate([means, *(scale > 0.0 for scale in self._scales)], axis=1).reshape(-1)
+
+
+def _turns(kind: type) -> bool:
+    from rig.model import Effect
+
+    return kind.turned is not Effect.turned  # type: ignore[attr-defined, no-any-return]
+
+
+def _closes(kind: type) -> bool:
+    return kind.looks_in == "closure"  # type: ignore[attr-defined, no-any-return]
+
+
+def only_stretches(data: TurnRecords, seconds: float) -> TurnRecords:
+    """The same with stretches of about this length."""
+    return replace(data, stretches=stretches_of(data.records, data.interval, seconds, data.counted.rate))
+
+
+def stretches_of(
+    records: Sequence[tuple[int, int]], interval: float, seconds: float, rate: Array
+) -> tuple[tuple[int, int], ...]:
+    """Records cut into pieces of about equal length; the first windows of a moving record are left out."""
+    found = []
+    for begin, end in records:
+        margin = SETTLING if np.any(rate[begin:end] != 0.0) else 0
+        pieces = max(1, round((end - begin - 2 * margin) * interval / seconds))
+        bounds = np.linspace(begin + margin, end - margin, pieces + 1).astype(int).tolist()
+        found += [(b, e) for b, e in zip(bounds, bounds[1:], strict=False) if e - b > 4]
+    return tuple(found)

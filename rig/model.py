@@ -1,0 +1,296 @@
+"""The sensor model: a chain of physical effects from the reference's reading to the volts of every channel.
+
+    reference → motion → transducer → dynamics → output (sensitivity, zero) → electronics → sampling
+
+An effect is one physical statement: what it does at its stage, its parameters, what data look like when it is missing.
+Effects compose in the order of the chain. Every channel has a sensitivity S, a zero output V₀ and one pole of its
+output filter besides; with nothing else that is the data-sheet model  V = S·u/(1 + jf/f_p) + V₀.
+
+An effect's *coordinates* are what is fitted. They are chosen so that the effect vanishes where all of them are zero and
+is as straight as possible there (a filter's reciprocal corner, a vector's two components); `physical` turns them into
+the parameters that a person reads, with units.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
+
+Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
+Quantity = Literal["acceleration", "rate"]
+Values = Mapping[str, float]
+SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
+BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
+
+__all__ = [
+    "BOTH", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion", "Parameter", "Periods",
+    "Quantity", "Stage", "Stretches", "Term", "Values", "volts",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One fitted number: a step over which the effect is straight, and starts for those that cannot start at zero.
+
+    `searched` ones are tried at their starts and stay there (a whole number, one of a few ranges).
+    """
+
+    name: str
+    step: float
+    starts: tuple[float, ...] = (0.0,)
+    searched: bool = False
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as a person reads it: SI unit, limits that physics allows, and sizes that are usual."""
+
+    name: str
+    unit: str
+    bounds: tuple[float, float]
+    typical: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Channels of one recorder, c of them, as data sheets and cabling describe them.
+
+    `axis` 0, 1, 2 in the case frame; `slot` in the scan; `side` m from the vibrometer's spot to the side (NaN: not
+    stated); `sensitivity` V/SI, its relative `tolerance`, and `pole` Hz by the data sheet; `unit` groups channels.
+    """
+
+    names: tuple[str, ...]
+    rates: NDArray[np.bool_]
+    axis: NDArray[np.intp]
+    slot: NDArray[np.intp]
+    side: Array
+    sensitivity: Array
+    tolerance: Array
+    pole: Array
+    unit: tuple[str, ...]
+
+    def of(self, quantity: Quantity | None) -> NDArray[np.intp]:
+        """Indices of the channels of one quantity, all without."""
+        if quantity is None:
+            return np.arange(len(self.names))
+        return np.flatnonzero(self.rates == (quantity == "rate"))
+
+    def only(self, index: NDArray[np.intp]) -> Channels:
+        """Some of them."""
+        arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
+        names, unit = (tuple(all_[i] for i in index) for all_ in (self.names, self.unit))
+        return replace(self, names=names, unit=unit, **arrays)
+
+
+_ARRAYS = ("rates", "axis", "slot", "side", "sensitivity", "tolerance", "pole")
+
+
+@dataclass(frozen=True)
+class Local:
+    """What belongs to each channel: sensitivity V/SI, pole Hz, zero output V; all (c,)."""
+
+    sensitivity: Array
+    pole: Array
+    zero: Array
+
+
+class Effect:
+    """One physical effect. Subclasses say what it is and override the hooks of their stage; the rest do nothing.
+
+    `quantities`: the channels it can act on, each a statement of its own; () for what acts on the reference or on the
+    motion as a whole. `places`: where it can show. `absorbed`: why no fit can see it beside sensitivity and zero.
+    """
+
+    name: ClassVar[str] = ""
+    stage: ClassVar[Stage]
+    title: ClassVar[str]
+    equation: ClassVar[str]
+    quantities: ClassVar[tuple[Quantity, ...]] = ()
+    places: ClassVar[tuple[str, ...]] = ("shaker", "turntable")
+    coordinates: ClassVar[tuple[Coordinate, ...]] = ()
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    missing: ClassVar[str]
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    separate_by: ClassVar[str]
+    source: ClassVar[str]
+    absorbed: ClassVar[str] = ""
+    looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
+
+    def units(self, on: Quantity | None) -> tuple[str, ...]:
+        """Units of the parameters for channels of one quantity; `SI` in a unit stands for that quantity's."""
+        return tuple(p.unit.replace("SI", SI[on] if on else "") for p in self.parameters)
+
+    def physical(self, at: Values) -> dict[str, float]:
+        """Parameters from coordinates; by default they are the same numbers."""
+        return {name: float(at[name]) for name in (p.name for p in self.parameters)}
+
+    def from_physical(self, values: Values) -> dict[str, float]:
+        """Coordinates from parameters; by default the same numbers."""
+        return {c.name: float(values[c.name]) for c in self.coordinates}
+
+    def starts(self, motion: Motion, on: Quantity | None) -> list[dict[str, float]]:
+        """Coordinates to start a fit from; by default every combination of the coordinates' starts."""
+        names = [c.name for c in self.coordinates]
+        return [dict(zip(names, one, strict=True)) for one in itertools.product(*(c.starts for c in self.coordinates))]
+
+    # hooks: reference
+    def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
+        """True harmonics of the drive's acceleration from those shown; (p, 6), Hz (p, 6), (m/s)/V (p,)."""
+        return along
+
+    def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:
+        """Angle that the encoder shows too much, rad, and its first two derivatives by the angle; all (n,)."""
+        nothing = np.zeros_like(angle)
+        return nothing, nothing, nothing
+
+    # hooks: motion and transducer
+    def motion(self, motion: Motion, at: Values) -> Motion:
+        """The motion of the case with this effect."""
+        return motion
+
+    def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
+        """What arrives along each sensitive axis, SI, (c, *G)."""
+        return felt
+
+    def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
+        """The static characteristic, SI in, SI out, (c, *G)."""
+        return u
+
+    # hooks: dynamics and output
+    def response(self, frequency: Array, at: Values) -> Complexes:
+        """Complex factor beside the output filter, shape of `frequency` (Hz)."""
+        return np.ones(frequency.shape, np.complex128)
+
+    def output(
+        self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values
+    ) -> tuple[NDArray[np.inexact], Array]:
+        """Signal about the zero (c, *observed) and zero (c, R), V."""
+        return signal, zero
+
+    # hooks: electronics and sampling
+    def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
+        """Volts added to each channel, (c, *G); None for none."""
+        return None
+
+    def late(self, slots: NDArray[np.intp], at: Values) -> Array:
+        """How much later than read back each slot of the scan is converted, s, (c,)."""
+        return np.zeros(len(slots))
+
+    def at_mains(self, order: int, elapsed: Array, at: Values) -> Complexes | None:
+        """Volts at a multiple of the mains frequency, as phasors at each record's start (r,), s; None for none."""
+        return None
+
+    def mixed(self, volts: NDArray[np.inexact], before: NDArray[np.inexact], at: Values) -> NDArray[np.inexact]:
+        """What the converter makes of volts after those of the slot before."""
+        return volts
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at work: on which channels, and its coordinates. `prior` (standard deviations) makes it a nuisance."""
+
+    effect: Effect
+    on: Quantity | None
+    at: Values
+    prior: Values = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Name within a model."""
+        return f"{self.effect.name} ({self.on})" if len(self.effect.quantities) > 1 else self.effect.name
+
+    def moved(self, **at: float) -> Term:
+        """The same at other coordinates."""
+        return replace(self, at={**self.at, **at})
+
+
+def volts(
+    motion: Motion, channels: Channels, local: Local, terms: Sequence[Term], before: NDArray[np.inexact] | None = None
+) -> NDArray[np.inexact]:
+    """Output of every channel: harmonics (c, p, 6), complex, or instants (c, n); V.
+
+    `motion` is true already as far as the reference goes (see `shaken` and `turned`), and terms act at its place. `before` holds the observed volts
+    of the slot before each channel, for what the multiplexer leaves.
+    """
+    for term in terms:
+        motion = term.effect.motion(motion, term.at)
+    signal = motion.grid.observed(_transduced(motion, channels, terms), _response(channels, local, terms, motion.grid))
+    signal = signal * _tall(local.sensitivity, signal.ndim)
+    zero = np.repeat(local.zero[:, None], motion.temperature.shape[-1], axis=1)
+    own = replace(channels, sensitivity=local.sensitivity)
+    for term in terms:
+        here = channels.of(term.on)
+        signal[here], zero[here] = term.effect.output(signal[here], zero[here], motion, own.only(here), term.at)
+    total = _with_zero(signal, zero)
+    for term in terms:
+        more = term.effect.added(motion, own.only(channels.of(term.on)), term.at)
+        if more is not None:
+            total[channels.of(term.on)] += motion.grid.observed(more, _flat)
+    return _sampled(total, motion.grid, channels, terms, before)
+
+
+def _transduced(motion: Motion, channels: Channels, terms: Sequence[Term]) -> Array:
+    felt = np.where(_tall(channels.rates, motion.rate.ndim), motion.rate[channels.axis], motion.force[channels.axis])
+    for hook in ("felt", "transduce"):
+        for term in terms:
+            here = channels.of(term.on)
+            if hook == "felt" and _has(term.effect, "felt"):
+                felt[here] = term.effect.felt(felt[here], motion, channels.only(here), term.at)
+            elif hook == "transduce" and _has(term.effect, "transduce"):
+                felt[here] = term.effect.transduce(felt[here], motion, term.at)
+    return np.asarray(felt)
+
+
+def _has(effect: Effect, hook: str) -> bool:
+    return getattr(type(effect), hook) is not getattr(Effect, hook)
+
+
+class _response:  # noqa: N801 - a function with something in its pocket
+    """Responses of all channels, (c, *f)."""
+
+    def __init__(self, channels: Channels, local: Local, terms: Sequence[Term], grid: Grid) -> None:
+        self._channels, self._local = channels, local
+        self._terms = [term for term in terms if _has(term.effect, "response")]
+
+    def __call__(self, frequency: Array) -> Complexes:
+        pole = _tall(self._local.pole, frequency.ndim + 1)
+        found = np.asarray(1.0 / (1.0 + 1j * frequency / pole), np.complex128)
+        for term in self._terms:
+            found[self._channels.of(term.on)] *= term.effect.response(frequency, term.at)
+        return found
+
+
+def _flat(frequency: Array) -> Complexes:
+    return np.ones(frequency.shape, np.complex128)
+
+
+def _tall(values: NDArray[np.generic], ndim: int) -> NDArray[np.generic]:
+    """Values per channel in a shape that multiplies (c, …)."""
+    return values.reshape(len(values), *(1,) * (ndim - 1))
+
+
+def _with_zero(signal: NDArray[np.inexact], zero: Array) -> NDArray[np.inexact]:
+    if signal.ndim == 2:
+        return signal + zero
+    signal[..., 0] += zero
+    return signal
+
+
+def _sampled(
+    total: NDArray[np.inexact], grid: Grid, channels: Channels, terms: Sequence[Term], before: NDArray[np.inexact] | None
+) -> NDArray[np.inexact]:
+    for term in terms:
+        if _has(term.effect, "late") and isinstance(grid, Periods):
+            late = term.effect.late(channels.slot, term.at)
+            total = total * np.exp(2j * math.pi * grid.harmonics * late[:, None, None])
+        if before is not None and _has(term.effect, "mixed"):
+            total = term.effect.mixed(total, before, term.at)
+    return total

@@ -1,0 +1,175 @@
+"""What the unit went through, on a grid that an effect can work on: periods of sines, or stretches of time.
+
+Both kinds of experiment look alike to an effect. A *grid* says at which instants signals are worked out and what a
+linear system does to them:
+
+- `Periods`: p steady sines, each one whole period at `PHASES` phases; signals have shape (…, p, PHASES), and what is
+  observed of them are their harmonics 0 … 5, complex, shape (…, p, 6);
+- `Stretches`: n evenly spaced instants of several records one after the other; signals and observations have shape
+  (…, n). A record's ends are continued along straight lines before it is filtered.
+
+Vectors are in the case frame (first axis x, y, z); angles of the platter count about the upward axis from the encoder's
+index, so they fall while it turns clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Response = Callable[[Array], Complexes]
+
+PHASES = 256
+ORDERS = 6  # harmonics 0 … 5
+MARGIN = 64  # samples added to either end of a stretch before it is filtered
+
+_ANGLES = 2.0 * math.pi * np.arange(PHASES) / PHASES
+_ANALYSIS = np.exp(-1j * np.outer(_ANGLES, np.arange(ORDERS))) * (2.0 / PHASES)
+_ANALYSIS[:, 0] /= 2.0
+_SYNTHESIS = np.exp(1j * np.outer(np.arange(ORDERS), _ANGLES))
+
+
+class Grid(Protocol):
+    """Where signals are worked out."""
+
+    def observed(self, signal: Array, response: Response) -> NDArray[np.inexact]:
+        """What is seen of a signal after a linear system with this complex response (Hz in)."""
+        ...
+
+    def each(self, values: Array) -> Array:
+        """Values of the records (p,) or instants (n,) in a shape that multiplies what is observed."""
+        ...
+
+    def rise(self, signal: Array) -> Array:
+        """Derivative in time, unit of the signal per second, same shape."""
+        ...
+
+
+@dataclass(frozen=True)
+class Periods:
+    """Steady sines; `frequency` Hz, shape (p,)."""
+
+    frequency: Array
+
+    @property
+    def harmonics(self) -> Array:
+        """Frequencies of the harmonics 0 … 5, Hz, shape (p, 6)."""
+        return np.multiply.outer(self.frequency, np.arange(ORDERS, dtype=np.float64))
+
+    def observed(self, signal: Array, response: Response) -> Complexes:
+        return np.asarray((signal @ _ANALYSIS) * response(self.harmonics))
+
+    def each(self, values: Array) -> Array:
+        return values[..., None]
+
+    def waveform(self, harmonics: Complexes) -> Array:
+        """One period from harmonics 0 … 5, shapes (…, p, 6) to (…, p, PHASES)."""
+        return np.asarray((harmonics @ _SYNTHESIS).real)
+
+    def rise(self, signal: Array) -> Array:
+        step = 1.0 / (self.frequency[:, None] * PHASES)
+        return np.asarray((np.roll(signal, -1, -1) - np.roll(signal, 1, -1)) / (2.0 * step))
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Records one after the other: `interval` s between instants, `bounds` of each record among them."""
+
+    interval: float
+    bounds: tuple[tuple[int, int], ...]
+
+    def observed(self, signal: Array, response: Response) -> Array:
+        found = np.empty_like(signal)
+        for begin, end in self.bounds:
+            found[..., begin:end] = self._filtered(signal[..., begin:end], response)
+        return found
+
+    def each(self, values: Array) -> Array:
+        return values
+
+    def rise(self, signal: Array) -> Array:
+        found = np.empty_like(signal)
+        for begin, end in self.bounds:
+            found[..., begin:end] = np.gradient(signal[..., begin:end], self.interval, axis=-1)
+        return found
+
+    def _filtered(self, signal: Array, response: Response) -> Array:
+        """A ramp a + bt leaves H(0)(a + bt) + b·H′(0); what is left after the line through both ends goes round."""
+        count = signal.shape[-1]
+        slope = (signal[..., -1:] - signal[..., :1]) / max(count - 1, 1)
+        line = signal[..., :1] + slope * np.arange(count)
+        rest = np.concatenate([signal - line, np.zeros((*signal.shape[:-1], MARGIN))], axis=-1)
+        whole = rest.shape[-1]
+        frequency = np.asarray(np.fft.rfftfreq(whole, self.interval))
+        turned = np.fft.irfft(np.fft.rfft(rest) * response(frequency), whole)[..., :count]
+        step = 1e-3
+        low, here = response(np.array([step]))[..., :1], response(np.zeros(1))[..., :1].real
+        return np.asarray(turned + here * line + slope / self.interval * (low.imag / (2.0 * math.pi * step)))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of the case and what surrounded it; G is the grid's shape: (p, PHASES) or (n,), R that of records: (p,)
+    or (n,).
+
+    `force` specific force m/s², `rate` rad/s, `turning` angular acceleration rad/s², all (3, *G). `up` unit vector,
+    (3, R). `gravity` m/s². Conditions, all R: `temperature` °C, `supply` V, `elapsed` s since the first record began.
+
+    On the shaker: `along` complex acceleration of the drive's harmonics, m/s², (p, 6); `drive` and `side` unit vectors
+    (3, p); `source` open-circuit drive, V peak, and `scale` of the vibrometer, (m/s)/V, both (p,). On the turntable:
+    `angle` of the platter rad, `motor` whether it is driven, both (n,); `outward` and `tangent` (upward axis × outward)
+    unit vectors, (3, n).
+    """
+
+    grid: Grid
+    place: str
+    force: Array
+    rate: Array
+    turning: Array
+    up: Array
+    gravity: float
+    temperature: Array
+    supply: Array
+    elapsed: Array
+    along: Complexes = field(default_factory=lambda: np.zeros((0, ORDERS), np.complex128))
+    drive: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    side: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    source: Array = field(default_factory=lambda: np.zeros(0))
+    scale: Array = field(default_factory=lambda: np.zeros(0))
+    angle: Array = field(default_factory=lambda: np.zeros(0))
+    motor: Array = field(default_factory=lambda: np.zeros(0))
+    outward: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    tangent: Array = field(default_factory=lambda: np.zeros((3, 0)))
+
+    def with_force(self, more: Array) -> Motion:
+        """The same with this specific force added, (3, *G)."""
+        return replace(self, force=self.force + more)
+
+    def driven_by(self, response: Complexes) -> Array:
+        """The drive's acceleration after a response at its harmonics (p, 6), as a waveform, m/s², (p, PHASES)."""
+        if not isinstance(self.grid, Periods):
+            raise TypeError("found a motion that is not driven by sines")
+        return self.grid.waveform(self.along * response)
+
+    def drive_waveform(self) -> Array:
+        """Open-circuit voltage of the source, V, (p, PHASES): it pushes against the acceleration (a = −ω²kV)."""
+        if not isinstance(self.grid, Periods):
+            raise TypeError("found a motion that is not driven by sines")
+        first = np.zeros_like(self.along)
+        size = np.abs(self.along[:, 1])
+        first[:, 1] = -self.source * self.along[:, 1] / np.where(size > 0.0, size, 1.0)
+        return self.grid.waveform(first)
+
+
+def rigid(motion: Motion, arm: Array) -> Array:
+    """What a point at `arm` (m, case frame, (3,)) feels more than the origin: α×r + ω×(ω×r), m/s², (3, *G)."""
+    arms = np.broadcast_to(arm.reshape(3, *(1,) * (motion.rate.ndim - 1)), motion.rate.shape)
+    inward = np.cross(motion.rate, np.cross(motion.rate, arms, axis=0), axis=0)
+    return np.asarray(np.cross(motion.turning, arms, axis=0) + inward)

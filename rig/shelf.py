@@ -1,0 +1,82 @@
+"""The shelf of effects: every file in `rig/effects`, and in a user's own folder, that holds one effect.
+
+A file's name is the effect's name. A user's folder is named on the command line or in RIG_EFFECTS, never in a model
+file: what a YAML file says cannot make code run that the user has not put there.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import os
+import pkgutil
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+
+from rig import effects
+from rig.errors import BadInput
+from rig.model import Effect, Quantity, Term
+
+FOLDER = "RIG_EFFECTS"
+
+
+def shelf(folder: Path | None = None) -> Mapping[str, Effect]:
+    """Every effect by name; those of a user's folder (or of RIG_EFFECTS) beside and before the shipped ones.
+
+    Raises BadInput for a file that does not hold exactly one effect.
+    """
+    own = folder if folder is not None else Path(os.environ[FOLDER]) if os.environ.get(FOLDER) else None
+    return MappingProxyType({**_shipped(), **(_own(own) if own is not None else {})})
+
+
+def effect_of(name: str, folder: Path | None = None) -> Effect:
+    """One effect; raises BadInput with the nearest names if there is none."""
+    import difflib
+
+    found = shelf(folder)
+    if name not in found:
+        near = difflib.get_close_matches(name, found, 3) or sorted(found)
+        raise BadInput(f"effect: found '{name}', wanted one of the shelf such as {', '.join(near)}")
+    return found[name]
+
+
+def nothing_of(effect: Effect, on: Quantity | None) -> Term:
+    """The effect with all coordinates zero: not there."""
+    return Term(effect, on, dict.fromkeys((c.name for c in effect.coordinates), 0.0))
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> Mapping[str, Effect]:
+    names = sorted(one.name for one in pkgutil.iter_modules(effects.__path__))
+    return {name: _only(importlib.import_module(f"rig.effects.{name}"), name, f"rig.effects.{name}") for name in names}
+
+
+def _own(folder: Path) -> dict[str, Effect]:
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: found no folder, wanted one with effects, one file each")
+    return {path.stem: _only(_loaded(path), path.stem, str(path)) for path in sorted(folder.glob("[a-z]*.py"))}
+
+
+def _loaded(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"own_effects.{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise BadInput(f"{path}: found no Python file, wanted one with an effect")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _only(module: ModuleType, name: str, where: str) -> Effect:
+    kinds = [
+        kind
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if issubclass(kind, Effect) and kind is not Effect and kind.__module__ == module.__name__
+    ]
+    if len(kinds) != 1:
+        raise BadInput(f"{where}: found {len(kinds)} effects, wanted one in the file")
+    kind = kinds[0]
+    kind.name = name
+    return kind()

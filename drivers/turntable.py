@@ -159,6 +159,11 @@ class Verdict:
         return f"{self.state}: {self.reason}" if self.reason else self.state
 
 
+# The rate is judged from index to index, whatever lines were lost between; lost lines are on record with the hold, and
+# conclusions that rest on them refuse or repair. More than this is no encoder any more.
+LOST_AT_MOST = 50
+
+
 class Gate:
     """Judges revolutions as they come: waiting, steady, or failed with the reason. Once failed it stays failed."""
 
@@ -194,7 +199,7 @@ class Gate:
     def _objection(self) -> str:
         """Why the judged revolutions are not steady; empty if they are."""
         limits, last = self._limits, self._judged[-1]
-        if last.lines != LINES:
+        if abs(last.lines - LINES) > LOST_AT_MOST:
             self._judged.clear()
             return f"{last.lines} lines between index pulses, wanted {LINES}"
         if not last.direction:

@@ -122,6 +122,8 @@ class Effect:
     separate_by: ClassVar[str]
     source: ClassVar[str]
     absorbed: ClassVar[str] = ""
+    kinked: ClassVar[bool] = False  # a characteristic that is not smooth
+    rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:
@@ -233,7 +235,7 @@ def volts(
     for term in terms:
         more = term.effect.added(motion, own.only(channels.of(term.on)), term.at)
         if more is not None:
-            total[channels.of(term.on)] += motion.grid.observed(more, _flat)
+            total[channels.of(term.on)] += motion.grid.plain(more)
     return _sampled(total, motion.grid, channels, terms, before)
 
 
@@ -266,10 +268,6 @@ class _response:  # noqa: N801 - a function with something in its pocket
         for term in self._terms:
             found[self._channels.of(term.on)] *= term.effect.response(frequency, term.at)
         return found
-
-
-def _flat(frequency: Array) -> Complexes:
-    return np.ones(frequency.shape, np.complex128)
 
 
 def _tall(values: NDArray[np.generic], ndim: int) -> NDArray[np.generic]:

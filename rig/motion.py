@@ -3,7 +3,7 @@
 Both kinds of experiment look alike to an effect. A *grid* says at which instants signals are worked out and what a
 linear system does to them:
 
-- `Periods`: p steady sines, each one whole period at `PHASES` phases; signals have shape (…, p, PHASES), and what is
+- `Periods`: p steady sines, each one whole period; signals have shape (…, p, phases), and what is
   observed of them are their harmonics 0 … 5, complex, shape (…, p, 6);
 - `Stretches`: n evenly spaced instants of several records one after the other; signals and observations have shape
   (…, n). A record's ends are continued along straight lines before it is filtered.
@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -27,13 +28,17 @@ Complexes = NDArray[np.complex128]
 Response = Callable[[Array], Complexes]
 
 PHASES = 256
+FINE = 1024  # phases for a characteristic with a kink, whose high harmonics would fold into low ones
 ORDERS = 6  # harmonics 0 … 5
 MARGIN = 64  # samples added to either end of a stretch before it is filtered
 
-_ANGLES = 2.0 * math.pi * np.arange(PHASES) / PHASES
-_ANALYSIS = np.exp(-1j * np.outer(_ANGLES, np.arange(ORDERS))) * (2.0 / PHASES)
-_ANALYSIS[:, 0] /= 2.0
-_SYNTHESIS = np.exp(1j * np.outer(np.arange(ORDERS), _ANGLES))
+@lru_cache(maxsize=4)
+def _transforms(phases: int) -> tuple[Complexes, Complexes]:
+    """From one period to its harmonics and back: (phases, 6) and (6, phases)."""
+    angles = 2.0 * math.pi * np.arange(phases) / phases
+    analysis = np.exp(-1j * np.outer(angles, np.arange(ORDERS))) * (2.0 / phases)
+    analysis[:, 0] /= 2.0
+    return analysis, np.exp(1j * np.outer(np.arange(ORDERS), angles))
 
 
 class Grid(Protocol):
@@ -41,6 +46,10 @@ class Grid(Protocol):
 
     def observed(self, signal: Array, response: Response) -> NDArray[np.inexact]:
         """What is seen of a signal after a linear system with this complex response (Hz in)."""
+        ...
+
+    def plain(self, signal: Array) -> NDArray[np.inexact]:
+        """What is seen of a signal itself."""
         ...
 
     def each(self, values: Array) -> Array:
@@ -54,9 +63,10 @@ class Grid(Protocol):
 
 @dataclass(frozen=True)
 class Periods:
-    """Steady sines; `frequency` Hz, shape (p,)."""
+    """Steady sines; `frequency` Hz, shape (p,), each worked out at so many `phases`."""
 
     frequency: Array
+    phases: int = PHASES
 
     @property
     def harmonics(self) -> Array:
@@ -64,17 +74,20 @@ class Periods:
         return np.multiply.outer(self.frequency, np.arange(ORDERS, dtype=np.float64))
 
     def observed(self, signal: Array, response: Response) -> Complexes:
-        return np.asarray((signal @ _ANALYSIS) * response(self.harmonics))
+        return np.asarray((signal @ _transforms(self.phases)[0]) * response(self.harmonics))
+
+    def plain(self, signal: Array) -> Complexes:
+        return np.asarray(signal @ _transforms(self.phases)[0])
 
     def each(self, values: Array) -> Array:
         return values[..., None]
 
     def waveform(self, harmonics: Complexes) -> Array:
-        """One period from harmonics 0 … 5, shapes (…, p, 6) to (…, p, PHASES)."""
-        return np.asarray((harmonics @ _SYNTHESIS).real)
+        """One period from harmonics 0 … 5, shapes (…, p, 6) to (…, p, phases)."""
+        return np.asarray((harmonics @ _transforms(self.phases)[1]).real)
 
     def rise(self, signal: Array) -> Array:
-        step = 1.0 / (self.frequency[:, None] * PHASES)
+        step = 1.0 / (self.frequency[:, None] * self.phases)
         return np.asarray((np.roll(signal, -1, -1) - np.roll(signal, 1, -1)) / (2.0 * step))
 
 
@@ -91,6 +104,9 @@ class Stretches:
             found[..., begin:end] = self._filtered(signal[..., begin:end], response)
         return found
 
+    def plain(self, signal: Array) -> Array:
+        return signal
+
     def each(self, values: Array) -> Array:
         return values
 
@@ -102,21 +118,25 @@ class Stretches:
 
     def _filtered(self, signal: Array, response: Response) -> Array:
         """A ramp a + bt leaves H(0)(a + bt) + b·H′(0); what is left after the line through both ends goes round."""
+        from scipy.fft import irfft, next_fast_len, rfft
+
+        still = response(np.zeros(1))[..., :1].real
+        if not np.any(signal != signal[..., :1]):
+            return np.asarray(still * signal)
         count = signal.shape[-1]
         slope = (signal[..., -1:] - signal[..., :1]) / max(count - 1, 1)
         line = signal[..., :1] + slope * np.arange(count)
-        rest = np.concatenate([signal - line, np.zeros((*signal.shape[:-1], MARGIN))], axis=-1)
-        whole = rest.shape[-1]
+        whole = next_fast_len(count + MARGIN, real=True)
         frequency = np.asarray(np.fft.rfftfreq(whole, self.interval))
-        turned = np.fft.irfft(np.fft.rfft(rest) * response(frequency), whole)[..., :count]
+        turned = irfft(rfft(signal - line, whole) * response(frequency), whole)[..., :count]
         step = 1e-3
-        low, here = response(np.array([step]))[..., :1], response(np.zeros(1))[..., :1].real
-        return np.asarray(turned + here * line + slope / self.interval * (low.imag / (2.0 * math.pi * step)))
+        low = response(np.array([step]))[..., :1]
+        return np.asarray(turned + still * line + slope / self.interval * (low.imag / (2.0 * math.pi * step)))
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the case and what surrounded it; G is the grid's shape: (p, PHASES) or (n,), R that of records: (p,)
+    """Motion of the case and what surrounded it; G is the grid's shape: (p, phases) or (n,), R that of records: (p,)
     or (n,).
 
     `force` specific force m/s², `rate` rad/s, `turning` angular acceleration rad/s², all (3, *G). `up` unit vector,
@@ -153,13 +173,13 @@ class Motion:
         return replace(self, force=self.force + more)
 
     def driven_by(self, response: Complexes) -> Array:
-        """The drive's acceleration after a response at its harmonics (p, 6), as a waveform, m/s², (p, PHASES)."""
+        """The drive's acceleration after a response at its harmonics (p, 6), as a waveform, m/s², (p, phases)."""
         if not isinstance(self.grid, Periods):
             raise TypeError("found a motion that is not driven by sines")
         return self.grid.waveform(self.along * response)
 
     def drive_waveform(self) -> Array:
-        """Open-circuit voltage of the source, V, (p, PHASES): it pushes against the acceleration (a = −ω²kV)."""
+        """Open-circuit voltage of the source, V, (p, phases): it pushes against the acceleration (a = −ω²kV)."""
         if not isinstance(self.grid, Periods):
             raise TypeError("found a motion that is not driven by sines")
         first = np.zeros_like(self.along)

@@ -101,6 +101,7 @@ class SensorChannel(Strict):
     tolerance: Ratio | None = Field(default=None, description="of the sensitivity, either way: the limits of a verdict")
     ratiometric: Voltage | None = Field(default=None, description="nominal supply, if the output follows the supply")
     temperature_coefficient: Ratio | None = Field(default=None, description="of the sensitivity, per kelvin")
+    beside_spot: Length | None = Field(default=None, description="to the side of the vibrometer's spot on the shaker")
 
     @property
     def sensitivity_si(self) -> float:

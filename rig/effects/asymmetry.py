@@ -15,6 +15,7 @@ class Asymmetry(Effect):
     missing = "mean shifts by 2·ratio·A/π, lines at 2f (0.424·ratio·A) and 4f, all ∝ the level; no change of the gain"
     confused_with = ("quadratic", "saturation", "sensitivity")
     separate_by = "a second level (2f ∝ A against A², and a line at 4f); of a gyro, the table turned the other way"
+    kinked = True
     source = "effects.md S07, S26; IEEE 1431"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

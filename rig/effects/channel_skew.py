@@ -20,6 +20,7 @@ class ChannelSkew(Effect):
     missing = "phase against the reference ∝ f and ∝ the slot in the scan, accelerometers and gyros alike; gain right"
     confused_with = ("delay", "ldv_delay", "first_order_lag")
     separate_by = "the scan in another order: skew goes with the slot, a delay stays with the sensor"
+    rarity = 1.0
     source = "effects.md E06"
 
     def late(self, slots: NDArray[np.intp], at: Values) -> Array:

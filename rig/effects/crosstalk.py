@@ -16,6 +16,7 @@ class Crosstalk(Effect):
     missing = "a copy of the driven axis in the axis before it, a quarter turn ahead and ∝ f, the same at every level"
     confused_with = ("cross_axis", "multiplexer_settling", "channel_skew")
     separate_by = "a sweep with phase: crosstalk is ∝ f at a quarter turn, a cross-axis share flat and in phase"
+    rarity = 1.0
     source = "effects.md E08"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:

@@ -15,6 +15,7 @@ class DeadZone(Effect):
     missing = "the amplitude is short by 4·width/π at every level: gain falls as 1/A, no phase; a fixed line at 3f"
     confused_with = ("hysteresis", "odd_quadratic", "cubic")
     separate_by = "levels towards zero: amplitude a straight line with a negative intercept, without hysteresis' lag"
+    kinked = True
     source = "effects.md S10"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

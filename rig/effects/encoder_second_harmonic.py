@@ -20,6 +20,7 @@ class EncoderSecondHarmonic(Effect):
     missing = "encoder less gyro twice per turn, amplitude ∝ rate, phase fixed to the index; nothing in whole turns"
     confused_with = ("motor_pickup", "encoder_eccentricity", "encoder_graduation")
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, and still there without the motor"
+    rarity = 1.0
     source = "effects.md T02"
 
     def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ class GravityTilt(Effect):
     missing = "gain error ∝ 1/f², only at the low end of the band, in phase, the same at every level and for all units"
     confused_with = ("rocking", "dead_zone")
     separate_by = "lower frequencies with magnitude and phase (a high-pass leads, a tilt does not), or an upright drive"
+    rarity = 1.0
     source = "effects.md M10; ISO 16063-11"
 
     def motion(self, motion: Motion, at: Values) -> Motion:

@@ -21,6 +21,7 @@ class HighPass(Effect):
     missing = "the phase leads as corner/f and the gain falls as (corner/f)²/2, at the low end only, at every level"
     confused_with = ("drive_feedthrough", "rocking")
     separate_by = "a sweep to lower frequencies with phase: a high-pass leads, a tilt in gravity stays in phase"
+    rarity = 1.0
     source = "effects.md S15"
 
     def response(self, frequency: Array, at: Values) -> Complexes:

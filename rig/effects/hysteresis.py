@@ -16,6 +16,7 @@ class Hysteresis(Effect):
     missing = "the phase lags by 4·width/(πA): more at small levels, alike at every frequency; hardly any loss of gain"
     confused_with = ("delay", "first_order_lag", "dead_zone")
     separate_by = "smaller levels at one frequency: this lag is ∝ 1/A, that of a delay or filter does not change"
+    kinked = True
     source = "effects.md S11; Visintin, Differential Models of Hysteresis (play operator)"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

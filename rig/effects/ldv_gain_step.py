@@ -20,6 +20,7 @@ class LdvGainStep(Effect):
     missing = "all accelerometers jump by the same factor where the range changes; flat in f and level inside a range"
     confused_with = ("resonance", "cubic", "ldv_low_pass")
     separate_by = "the same frequency and level measured in both ranges: only the step differs"
+    rarity = 1.0
     source = "effects.md L02"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

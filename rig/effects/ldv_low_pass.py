@@ -19,6 +19,7 @@ class LdvLowPass(Effect):
     missing = "all channels' gains rise as 0.31·(f/corner)² and their phases lead as 0.279·f/corner of a turn"
     confused_with = ("resonance", "ldv_delay", "bessel_filter")
     separate_by = "another filter setting of the decoder: a rise that comes from it changes"
+    rarity = 1.0
     source = "effects.md L03"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

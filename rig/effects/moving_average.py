@@ -17,6 +17,7 @@ class MovingAverage(Effect):
     missing = "gain falls as (π·f·window)²/6 while the phase lags as f·window/2 of a turn, exactly ∝ f, at every level"
     confused_with = ("delay", "bessel_filter", "first_order_lag", "butterworth_filter")
     separate_by = "a sweep past 1/window: the gain is zero there, no filter with poles alone is"
+    rarity = 2.0
     source = "effects.md S14; decimators in sigma-delta data sheets"
 
     def response(self, frequency: Array, at: Values) -> Complexes:

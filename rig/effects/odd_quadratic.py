@@ -15,6 +15,7 @@ class OddQuadratic(Effect):
     missing = "gain changes by 0.849·coefficient·A and a line at 3f grows as 0.170·A², in phase; nothing at 0 and 2f"
     confused_with = ("cubic", "dead_zone", "quadratic")
     separate_by = "a third level: gain ∝ A against ∝ A² (cubic) or ∝ 1/A (dead zone)"
+    rarity = 2.0
     source = "effects.md S07; IEEE 1293"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Quantity, Values
 
-SHARES = (0.998, 0.99, 0.97, 0.93, 0.87, 0.75, 0.6)  # of the largest input, where a fit may start
+SHARES = (0.9995, 0.998, 0.996, 0.994, 0.992, 0.99, 0.988, 0.986, 0.984, 0.98, 0.97, 0.95, 0.91, 0.8, 0.6)  # of the largest input, where a fit may start
 
 
 class Saturation(Effect):
@@ -19,6 +19,7 @@ class Saturation(Effect):
     missing = "flat tops: above one level gain falls and lines at 3f and 5f rise at once, below it nothing; no phase"
     confused_with = ("cubic", "quadratic", "odd_quadratic")
     separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at the limit"
+    kinked = True
     source = "effects.md S09"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
@@ -26,6 +27,6 @@ class Saturation(Effect):
 
     def starts(self, motion: Motion, on: Quantity | None) -> list[dict[str, float]]:
         """Shares of the largest input that varies: the drive's amplitude, or the rate of the table."""
-        swing = motion.along[:, 1] if motion.place == "shaker" else motion.rate
+        swing = motion.rate if on == "rate" else motion.along[:, 1] if motion.place == "shaker" else motion.force
         peak = float(np.max(np.abs(swing), initial=0.0))
-        return [{"limit": share * peak} for share in SHARES]
+        return [{"limit": share * peak} for share in SHARES] if peak > 0.0 else []

@@ -16,7 +16,7 @@ class SupplyRatio(Effect):
     equation = "V = (S·u + V₀)·(1 + share·(Vs/5 V − 1))"
     quantities = BOTH
     coordinates = (Coordinate("share", 0.1),)
-    parameters = (Parameter("share", "1", (0.0, 1.5), (0.1, 1.0)),)
+    parameters = (Parameter("share", "1", (0.0, 1e3), (0.1, 1.0)),)
     missing = "gain and mean drift together, by the same share, with the logged supply"
     confused_with = ("temperature_scale", "temperature_bias", "warm_up")
     separate_by = "the supply stepped by some per cent at a fixed temperature"

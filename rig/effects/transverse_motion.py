@@ -25,6 +25,7 @@ class TransverseMotion(Effect):
     missing = "a line at f on the upright accelerometers, with a peak and a turn of phase at one frequency, ∝ the level"
     confused_with = ("cross_axis", "crosstalk", "rocking")
     separate_by = "the cube turned by 180° about the drive: true motion turns its sign, a cross-axis share does not"
+    rarity = 1.0
     source = "effects.md M02; ISO 16063-21"
 
     def motion(self, motion: Motion, at: Values) -> Motion:

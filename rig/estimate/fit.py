@@ -201,8 +201,9 @@ def predicted(parts: Sequence[Part], state: State) -> list[NDArray[np.inexact]]:
 
 def residual(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | None = None) -> Array:
     """Rows of all parts, observed less predicted, in standard deviations."""
-    raws = predicted(parts, state)
-    return _left(parts, state, [p.whitened(raw) for p, raw in zip(parts, raws, strict=True)], use)
+    with np.errstate(all="ignore"):  # a step too far gives no numbers, and is not taken
+        raws = predicted(parts, state)
+        return _left(parts, state, [p.whitened(raw) for p, raw in zip(parts, raws, strict=True)], use)
 
 
 def _left(
@@ -271,9 +272,9 @@ def _shortened(found: Fit, step: Array) -> Fit | None:
         for _ in range(CORRECTIONS):
             state = stepped(state, found.layout, move)
             left = residual(found.parts, state, found.use)
-            after = float(left @ left) + penalty(found.parts, state)
-            if not np.isfinite(after):
+            if not np.isfinite(left).all():
                 break
+            after = float(left @ left) + penalty(found.parts, state)
             if after < objective - (ENOUGH if best is not None else 0.0):
                 best, objective = state, after
             elif best is not None:

@@ -255,8 +255,9 @@ def _improved(
     for _ in range(fitting.HALVINGS):
         moved = fitting.stepped(state, order, step)
         left = fitting.residual(found.parts, moved, found.use)
-        after = float(left @ left) + fitting.penalty(found.parts, moved)
-        if math.isfinite(after) and after < objective:
+        finite = bool(np.isfinite(left).all())
+        after = float(left @ left) + fitting.penalty(found.parts, moved) if finite else math.inf
+        if after < objective:
             return moved, left, after
         step = 0.5 * step
     return None

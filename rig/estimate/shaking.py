@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import noise, units
+from rig import noise, tone, units
 from rig.estimate.channels import channels_of
 from rig.estimate.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
 from rig.model import Channels
@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 PER_DECADE = 20.0
 LONGEST = 60.0  # s of a record at rest that are looked at
+OUTSTANDING = 6.0  # robust standard deviations: one sample in 10⁹ of normal noise
+FEW = 1e-9  # share of samples that may stand out
+GATINGS = 3
+FOLDED = 24  # harmonics that are no noise, those beyond half the sampling rate among them
 LIMIT = 1.5  # lines beside one that was fitted, or mains: not noise
 
 
@@ -40,6 +44,8 @@ class _Record:
     before: Complexes
     point: SinePoint | None
     reference_variance: Array
+    gated: Complexes
+    outliers: tuple[float, float]
 
 
 def shaken(records: Recorded) -> list[SineRecords]:
@@ -88,8 +94,9 @@ def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterat
         lines = np.zeros((volts.shape[1], LINES), np.complex128)
         lines[:, 0] = mean
         lines[:, 1:ORDERS] = np.nan
-        yield _record(found, found.start + float(found.instants[first]), lines, volts - mean, None, mains,
-                      np.full(ORDERS, np.nan))  # fmt: skip
+        begin = found.start + float(found.instants[first])
+        gate = _Gate(np.zeros(ORDERS, np.complex128), 0.0, 0.0, np.empty(0))
+        yield _record(found, begin, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
 
 
 def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Record:
@@ -101,14 +108,56 @@ def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Recor
         lines[c, 1:ORDERS] = every[name].amplitudes
     at = np.asarray(point.frequency * np.arange(1, ORDERS), np.float64)
     per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
-    variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, at)])
-    return _record(found, found.start + float(found.instants[0]), lines, sine.left, point, mains, variance)
+    gate = _gated(sine, chain)
+    variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, gate.left, at)])
+    return _record(found, found.start + float(found.instants[0]), lines, sine.left, point, mains, variance, gate)
 
 
-def _reference_noise(sine: Sine, at: Array) -> Array:
+@dataclass(frozen=True)
+class _Gate:
+    """The reference without samples that stand out: acceleration (6,), their share and depth, what is left (n,)."""
+
+    acceleration: Complexes
+    share: float
+    depth: float
+    left: Array
+
+
+def _gated(sine: Sine, chain: Chain) -> _Gate:
+    """Fit the reference again without samples beyond six robust standard deviations, until none is left."""
+    found, point = sine.record, sine.point
+    column = found.names.index("ldv")
+    left = sine.left[:, column]
+    count = int(np.count_nonzero(np.isfinite(point.acceleration)))
+    shown = np.concatenate([[0.0], point.acceleration])
+    good = np.abs(left - np.median(left)) < OUTSTANDING * _robust(left)
+    if good.mean() > 1.0 - FEW:
+        return _Gate(shown, 0.0, 0.0, left)
+    volts = found.volts[:, column]
+    design = tone.design(found.instants, point.frequency, count)
+    for _ in range(GATINGS):
+        solution = np.linalg.lstsq(design[good], volts[good], rcond=None)[0]
+        left = volts - design @ solution
+        good = np.abs(left) < OUTSTANDING * _robust(left)
+    order = np.arange(1, count + 1)
+    parts = solution[: 2 * count]
+    amplitudes = (parts[0::2] + 1j * parts[1::2]) * np.exp(-2j * math.pi * point.frequency * order * found.skew[column])
+    at = np.asarray(point.frequency * order)
+    shown[1 : count + 1] = 2j * math.pi * at * chain.velocity_per_volt(point.scale, at) * amplitudes
+    signal = volts - left - solution[-1]
+    large = ~good & (np.abs(signal) > 0.5 * np.abs(signal).max())
+    depth = float(np.median(-left[large] / signal[large])) if large.any() else 0.0
+    return _Gate(shown, float(1.0 - good.mean()), depth, np.where(good, left, 0.0))
+
+
+def _robust(left: Array) -> float:
+    """Standard deviation from the median of absolute values, as for normal noise."""
+    return 1.4826 * float(np.median(np.abs(left - np.median(left))))
+
+
+def _reference_noise(sine: Sine, left: Array, at: Array) -> Array:
     """Variance of each part of the reference's lines, V², from its own record within an octave either way."""
     found = sine.record
-    left = sine.left[:, found.names.index("ldv")]
     count = len(left)
     power = np.abs(np.fft.rfft(left)) ** 2 * (2.0 / count**2)
     f = np.fft.rfftfreq(count, 1.0 / found.rate)
@@ -122,8 +171,9 @@ def _reference_noise(sine: Sine, at: Array) -> Array:
 
 
 def _record(
-    found: Signals, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float, variance: Array
-) -> _Record:
+    found: Signals, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
+    variance: Array, gate: _Gate,
+) -> _Record:  # fmt: skip
     count = len(left)
     resolution = found.rate / count
     spectrum = np.fft.rfft(left, axis=0) * (2.0 / count)
@@ -146,6 +196,8 @@ def _record(
         before=_before(lines, point, mains, step),
         point=point,
         reference_variance=variance,
+        gated=gate.acceleration,
+        outliers=(gate.share, gate.depth),
     )
 
 
@@ -157,11 +209,13 @@ def _at(left: Array, found: Signals, frequency: float) -> Complexes:
 
 
 def _taken(at: Array, point: SinePoint | None, resolution: float) -> NDArray[np.bool_]:
+    """Lines at zero and near any multiple of the drive, folded or not: a clipped sine has many."""
     taken = at < 0.5 * resolution
     if point is not None:
-        order = at / point.frequency
-        near = np.abs(order - np.round(order)) * point.frequency < LIMIT * resolution
-        taken |= near & (np.round(order) < ORDERS)
+        rate = 2.0 * float(at[-1])
+        for order in range(1, FOLDED + 1):
+            folded = abs((order * point.frequency + at[-1]) % rate - at[-1])
+            taken |= np.abs(at - folded) < LIMIT * resolution
     return np.asarray(taken)
 
 
@@ -197,6 +251,8 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         variance=_variances(densities, whole, observed, mains),
         noise=models,
         shown=np.nan_to_num([np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]),
+        gated=np.nan_to_num([one.gated for one in whole]),
+        outliers=np.array([one.outliers for one in whole]),
         reference_variance=np.array([one.reference_variance for one in whole]),
         frequency=np.array([0.0 if p is None else p.frequency for p in points]),
         nominal=np.array([0.0 if p is None else _nominal(records, p) for p in points]),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import Channels, Local, Term, volts
-from rig.motion import ORDERS, PHASES, Array, Complexes, Motion, Periods
+from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.noise import NoiseModel
 
 MAINS_ORDERS = (1, 3)
@@ -47,7 +47,8 @@ class SineRecords:
 
     `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown` complex
     acceleration of the drive that the reference shows, m/s², (p, 6), with `reference_variance` (p, 6) of each part,
-    (m/s²)². `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
+    (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers` tells,
+    (p, 2). `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
     """
 
     name: str
@@ -59,6 +60,8 @@ class SineRecords:
     variance: Array
     noise: tuple[NoiseModel, ...]
     shown: Complexes
+    gated: Complexes
+    outliers: Array
     reference_variance: Array
     frequency: Array
     nominal: Array
@@ -85,7 +88,8 @@ class Sines:
 
     def __init__(self, data: SineRecords) -> None:
         self.data, self.name, self.channels = data, data.name, data.channels
-        self.grid = Periods(np.where(data.frequency > 0.0, data.frequency, 1.0))
+        frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
+        self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
         self.extra = np.zeros((self.rows, 0))
         self.target = self.whitened(data.observed)
 
@@ -111,12 +115,14 @@ class Sines:
 
     def moved(self, terms: Sequence[Term]) -> Motion:
         """The true motion, once the effects of the reference are taken off what it shows."""
-        along, shown = self.data.shown, self.reference
+        gated = any(term.effect.looks_in == "dropouts" for term in terms)
+        along, shown = self.data.gated if gated else self.data.shown, self.reference
         for term in terms:
             along = term.effect.shaken(along, self.grid.harmonics, self.data.scale, term.at)
-        wave = self.grid.waveform(along)
-        force = shown.drive[:, :, None] * wave + shown.gravity * shown.up[:, :, None]
-        return replace(shown, along=along, force=force)
+        grid = self._fine if any(term.effect.kinked for term in terms) else self.grid
+        force = shown.drive[:, :, None] * grid.waveform(along) + shown.gravity * shown.up[:, :, None]
+        still = np.zeros_like(force)
+        return replace(shown, grid=grid, along=along, force=force, rate=still, turning=still)
 
     def raw(self, local: Local, terms: Sequence[Term]) -> Complexes:
         """Predicted lines of every channel, V, (c, p, LINES)."""

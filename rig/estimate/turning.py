@@ -175,6 +175,14 @@ class Turning:
         return np.concatenate([np.arange(len(lengths)), np.repeat(np.arange(len(lengths)), np.array(lengths) - 1)])
 
     @cached_property
+    def frequency_of(self) -> Array:
+        """Frequency of a row of one channel, Hz, zero for means, (width,)."""
+        lines = [
+            np.arange(1, end - begin) / (2.0 * (end - begin) * self.data.interval) for begin, end in self.data.stretches
+        ]
+        return np.concatenate([np.zeros(len(lines)), *lines])
+
+    @cached_property
     def held_out(self) -> NDArray[np.bool_]:
         """Rows of every third stretch, (rows,)."""
         out = self.stretch_of % HELD_OUT == HELD_OUT - 1

@@ -1,0 +1,183 @@
+"""What a model is missing: instruments first, then the shelf, one effect after another, until only noise is left.
+
+Every step takes the effect with the largest merit: the χ² that it removes after a full refit, less what chance gives to
+the best of so many candidates, less how unusual it is. A step is taken only if chance would hardly do as well. Effects
+that the data cannot tell from the one taken form its class. When no effect brings the rows to their noise, the verdict
+is *unlisted*, and the best candidate is only the nearest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from rig.estimate import adequacy, instruments, search
+from rig.estimate import fit as fitting
+from rig.estimate.evidence import Evidence
+from rig.estimate.fit import Fit
+from rig.estimate.instruments import Finding
+from rig.estimate.search import Candidate, Score
+from rig.model import Effect, Term
+from rig.shelf import shelf as shelf_of
+
+Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
+CHANCE = 18.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
+PER_COORDINATE = 5.0  # more of it for each further coordinate
+PER_START = 1.5  # and for every factor e of starts tried
+FINDING = 30.0  # evidence that a test of its own must have
+CLASS = 9.0  # χ² within which another effect is not excluded by the data
+LARGEST_CLASS = 3
+MOST_STEPS = 4
+REFITS = 8
+SHARE = 2e-3  # of the first effect's gain: a later effect must be worth more than the first one's own imprecision
+QUARTER = 0.25  # of the misfit in excess of the noise
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One effect as it competes in a step: what it removes, how probable it is, and whether the data exclude it."""
+
+    term: Term
+    u: Mapping[str, float]
+    gain: float
+    merit: float
+    probability: float
+    because: str
+    fit: Fit | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        return self.term.effect.name
+
+
+@dataclass(frozen=True)
+class Step:
+    """One missing effect: the choice taken, its class (itself first), all choices, the fits before and after."""
+
+    taken: Choice
+    members: tuple[Choice, ...]
+    others: tuple[Choice, ...]
+    before: Fit = field(repr=False)
+    after: Fit = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing. `base` is the model as given, `final` with all steps taken; `scores` of the whole shelf."""
+
+    verdict: Verdict
+    steps: tuple[Step, ...]
+    base: Fit = field(repr=False)
+    final: Fit = field(repr=False)
+    scores: tuple[Score, ...] = field(repr=False)
+    explained: float = 0.0  # share of the excess that the steps explain
+    misplaced: tuple[str, ...] = ()  # implausible metadata
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the effects taken, in order."""
+        return tuple(step.taken.name for step in self.steps)
+
+
+def diagnose(
+    evidence: Evidence, terms: Sequence[Term] = (), *, shelf: Mapping[str, Effect] | None = None, poles: bool = True
+) -> Diagnosis:
+    """Find what is missing in a model with these effects, without reading anything but the evidence."""
+    shelf = shelf_of() if shelf is None else shelf
+    base = evidence.fitted(terms, poles=poles)
+    misplaced = tuple(instruments.implausible(base))
+    steps: list[Step] = []
+    current = base
+    first_scores: tuple[Score, ...] = ()
+    for _ in range(MOST_STEPS):
+        step, scored = _step(evidence, current, shelf, steps)
+        first_scores = first_scores or scored
+        if step is None:
+            break
+        steps.append(step)
+        current = step.after
+    steps, current = _pruned(steps, current, base)
+    return _concluded(base, current, steps, first_scores, misplaced)
+
+
+def _step(
+    evidence: Evidence, current: Fit, shelf: Mapping[str, Effect], before: Sequence[Step]
+) -> tuple[Step | None, tuple[Score, ...]]:
+    there = {term.effect.name for term in current.state.terms if not term.prior}
+    for finding in instruments.findings(evidence, shelf, there):
+        if finding.evidence > FINDING:
+            return _by_test(evidence, current, finding), ()
+    scored = search.scores(current, search.possible(shelf, current))
+    choices = _choices(current, scored)
+    if not choices:
+        return None, tuple(scored)
+    best = choices[0]
+    least = max((SHARE * step.taken.gain for step in before), default=0.0)
+    if best.merit <= 0.0 or best.gain < least:
+        return None, tuple(scored)
+    assert best.fit is not None
+    after = fitting.fit(current.parts, best.fit.state, use=current.use)
+    members = [one for one in choices if one.gain > best.gain - CLASS][:LARGEST_CLASS]
+    return Step(best, tuple(members), tuple(choices), current, after), tuple(scored)
+
+
+def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
+    state = replace(current.state, terms=(*current.state.terms, finding.term))
+    after = fitting.fit(current.parts, state, use=current.use)
+    gain = current.objective - after.objective
+    choice = Choice(finding.term, finding.u, max(gain, finding.evidence), finding.evidence, 1.0, finding.because, after)
+    return Step(choice, (choice,), (choice,), current, after)
+
+
+def chance(score: Score | Candidate) -> float:
+    """χ² that a candidate of this size and with so many starts may gain by chance."""
+    size = len(fitting.fitted(score.term))
+    return CHANCE + PER_COORDINATE * (max(size, 1) - 1) + PER_START * math.log(score.steps)
+
+
+def _choices(current: Fit, scored: Sequence[Score]) -> list[Choice]:
+    """Refits of the best, most meritorious first, with probabilities among them and against chance."""
+    top = max((score.gain for score in scored), default=0.0)
+    least = max(0.5 * CHANCE, 0.02 * top)
+    refits = search.best(current, scored, REFITS, least)
+    merits = [one.gain - chance(one) - 2.0 * one.term.effect.rarity for one in refits]
+    highest = max([*merits, 0.0])
+    weights = [math.exp(0.5 * (merit - highest)) for merit in merits]
+    total = sum(weights) + math.exp(-0.5 * highest)
+    made = [
+        Choice(one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit)
+        for one, merit, weight in zip(refits, merits, weights, strict=True)
+    ]
+    return sorted(made, key=lambda one: -one.merit)
+
+
+def _pruned(steps: list[Step], current: Fit, base: Fit) -> tuple[list[Step], Fit]:
+    """Without steps that the later ones have made needless."""
+    for place in range(len(steps) - 2, -1, -1):
+        step = steps[place]
+        if step.taken.term.effect.looks_in:
+            continue
+        terms = tuple(t for t in current.state.terms if t.prior or t.effect.name != step.taken.name)
+        without = fitting.fit(current.parts, replace(current.state, terms=terms), use=current.use)
+        if without.objective - current.objective < CHANCE:
+            steps = [one for one in steps if one is not step]
+            current = without
+    return steps, current
+
+
+def _concluded(
+    base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], misplaced: tuple[str, ...]
+) -> Diagnosis:
+    fine = adequacy.adequate(final)
+    before, after = adequacy.excess(base), adequacy.excess(final)
+    explained = 1.0 - after / before if before > 0.0 else 1.0
+    verdict: Verdict
+    if not fine:
+        verdict = "unlisted"
+    elif not steps:
+        verdict = "adequate"
+    else:
+        verdict = "missing"
+    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced)

@@ -19,7 +19,7 @@ class AxisOffset(Effect):
     missing = "accelerometer error ∝ ω² and ∝ angular acceleration, different for each axis: no single radius fits"
     confused_with = ("lever_arm", "cross_axis", "quadratic")
     separate_by = "the unit turned by 90° on the platter: the differences between its axes go with the unit"
-    rarity = 3.0
+    rarity = 4.0
     source = "effects.md S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:

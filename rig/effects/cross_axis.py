@@ -11,7 +11,7 @@ class CrossAxis(Effect):
     equation = "u = u_own + share·u_next"
     quantities = BOTH
     coordinates = (Coordinate("share", 0.01),)
-    parameters = (Parameter("share", "1", (-0.2, 0.2), (0.005, 0.03)),)
+    parameters = (Parameter("share", "1", (-1.0, 1.0), (0.005, 0.03)),)
     missing = "a copy of the driven axis in the axis before it, in phase, the same share at every frequency and level"
     confused_with = ("transverse_motion", "multiplexer_settling", "crosstalk")
     separate_by = "the cube turned by 90° about the driven axis, or another axis driven: a true share goes with the cube"

@@ -16,7 +16,7 @@ class TemperatureScale(Effect):
     equation = "S(T) = S·(1 + coefficient·(T − 25 °C))"
     quantities = BOTH
     coordinates = (Coordinate("coefficient", 1e-4),)
-    parameters = (Parameter("coefficient", "1/K", (-0.3, 0.3), (1e-4, 3e-4)),)
+    parameters = (Parameter("coefficient", "1/K", (-1.0, 1.0), (1e-4, 3e-4)),)
     missing = "the gain drifts with the logged temperature, in proportion to the signal; the zero stays"
     confused_with = ("supply_ratio", "warm_up", "temperature_bias")
     separate_by = "a temperature ramp both ways at a fixed supply, points in random order"

@@ -133,8 +133,7 @@ def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
 
 def chance(score: Score | Candidate) -> float:
     """χ² that a candidate of this size and with so many starts may gain by chance."""
-    size = len(fitting.fitted(score.term))
-    return CHANCE + PER_COORDINATE * (max(size, 1) - 1) + PER_START * math.log(score.steps)
+    return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
 
 
 def _choices(current: Fit, scored: Sequence[Score]) -> list[Choice]:

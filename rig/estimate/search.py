@@ -33,6 +33,7 @@ class Score:
     gain: float
     visible: float  # largest share of a column outside the span of the model
     steps: int  # starts that were tried
+    size: int = 1  # coordinates that the data see
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,11 @@ class Candidate:
     fit: Fit
     u: Mapping[str, float]
     steps: int
+    size: int
 
     @property
     def name(self) -> str:
         return self.term.effect.name
-
-    @property
-    def size(self) -> int:
-        """Numbers that were fitted."""
-        return len(fitted(self.term))
-
 
 def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
     """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
@@ -125,9 +121,9 @@ def _scored(sight: _Sight, term: Term) -> Score:
     for start in starts:
         one = _from(sight, term.moved(**start))
         if one.gain > best.gain:
-            best = replace(one, visible=max(one.visible, best.visible), steps=len(starts))
+            best = replace(one, visible=max(one.visible, best.visible), steps=len(starts), size=max(one.size, best.size))
         else:
-            best = replace(best, visible=max(one.visible, best.visible))
+            best = replace(best, visible=max(one.visible, best.visible), size=max(one.size, best.size))
     return best
 
 
@@ -167,7 +163,7 @@ def _from(sight: _Sight, term: Term) -> Score:
         seen = np.append(seen, 1.0)
     at = dict(zip(fitted(term), step.tolist(), strict=True))
     where = term.moved(**{name: term.at[name] + change for name, change in at.items()})
-    return Score(term, where, gained, float(seen.max(initial=0.0)), 1)
+    return Score(term, where, gained, float(seen.max(initial=0.0)), 1, max(int(np.count_nonzero(good)), 1))
 
 
 def _pull(sight: _Sight, left: Array) -> Array:
@@ -188,7 +184,7 @@ def _afresh(found: Fit, score: Score) -> Candidate:
     state = replace(found.state, terms=(*found.state.terms, score.start))
     made = fitting.fit(found.parts, state, use=found.use, iterations=ROUNDS)
     return Candidate(made.state.terms[-1], found.objective - made.objective, made,
-                     made.u(len(made.state.terms) - 1), score.steps)  # fmt: skip
+                     made.u(len(made.state.terms) - 1), score.steps, score.size)  # fmt: skip
 
 
 def _quickly(found: Fit, score: Score) -> Candidate:
@@ -217,7 +213,7 @@ def _quickly(found: Fit, score: Score) -> Candidate:
     made = Fit(found.parts, state, order, left, found.blocks, normal, np.zeros(len(normal)), float(left @ left),
                objective - float(left @ left), found.use)  # fmt: skip
     return Candidate(state.terms[-1], found.objective - objective, made,
-                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps)  # fmt: skip
+                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size)  # fmt: skip
 
 
 def _readjusted(

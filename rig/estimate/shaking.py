@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rig import noise, tone, units
 from rig.estimate.channels import channels_of
+from rig.estimate.conditions import smoothed
 from rig.estimate.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
 from rig.model import Channels
 from rig.motion import ORDERS
@@ -239,6 +240,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     step = 20.0 / 65535.0
     models = tuple(_slow(d, float(pole), whole, step) for d, pole in zip(densities, channels.pole, strict=True))
     points = [one.point for one in whole]
+    begins = np.array([one.begin for one in whole])
     observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
     usable = np.array([one.usable[rows] & (one.point is None or not one.point.flags) for one in whole]).T
     return SineRecords(
@@ -256,15 +258,15 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         reference_variance=np.array([one.reference_variance for one in whole]),
         frequency=np.array([0.0 if p is None else p.frequency for p in points]),
         nominal=np.array([0.0 if p is None else _nominal(records, p) for p in points]),
-        begin=np.array([one.begin for one in whole]),
+        begin=begins,
         end=np.array([one.begin + one.seconds for one in whole]),
         level=tuple("rest" if p is None else p.level for p in points),
         index=np.array([-1 if p is None else p.index for p in points]),
         usable=usable,
         source=np.array([0.0 if p is None else p.source for p in points]),
         scale=np.array([0.0 if p is None else p.scale for p in points]),
-        temperature=np.array([one.temperature for one in whole]),
-        supply=np.array([one.supply for one in whole]),
+        temperature=smoothed(begins, np.array([one.temperature for one in whole])),
+        supply=smoothed(begins, np.array([one.supply for one in whole])),
         mains=mains,
         gravity=reference(records, "gravity", "gravity").value,
         directions=directions(axis),

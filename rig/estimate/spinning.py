@@ -14,6 +14,7 @@ from rig import noise
 from rig.encoder import LINES
 from rig.errors import BadInput
 from rig.estimate.channels import channels_of
+from rig.estimate.conditions import smoothed
 from rig.estimate.rotating import AXES, SLOWEST
 from rig.estimate.turning import HIGHEST_RATE, Shown, TurnRecords, stretches_of
 from rig.model import Channels
@@ -27,6 +28,7 @@ PIECE = 12.0  # s of a stretch
 PER_DECADE = 12.0
 OUTSTANDING = 9.0  # times the density of the timing noise: three standard deviations
 SMOOTH = 2.5  # Hz; a platter that starts or stops has no faster acceleration than this
+WOW = 1.5  # Hz; a platter at a steady speed has lines only above this
 SLOW = 0.3  # Hz; slower motion is kept whole
 NEIGHBOURS = 40  # lines of a transform on either side
 KNOT = 12  # lines between knots of the track: fine enough for the motor's flutter
@@ -187,7 +189,7 @@ def _shown(edges: Edges, bounds: Array, steady: bool) -> tuple[Shown, slice]:
     found = [np.full(len(bounds) - 1, math.nan) for _ in range(3)]
     found[0][first:stop] = _anchor(edges) + 0.5 * (angle[1:] + angle[:-1])
     found[1][first:stop], found[2][first:stop] = _cleared(
-        np.diff(angle) / width, np.diff(track.rate(here)) / width, width, edges.u_time, 0.0 if steady else SMOOTH
+        np.diff(angle) / width, np.diff(track.rate(here)) / width, width, edges.u_time, WOW if steady else SMOOTH
     )
     return Shown(*found), slice(first, stop)
 
@@ -258,7 +260,11 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
     means = np.concatenate([one.means for one in found], axis=1)
     sensors = np.array([names.index(n) for n in channels.names])
     counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))
-    frames = np.concatenate([np.repeat(_frame(one.mount)[:, :, None], n, axis=2) for one, n in zip(found, lengths, strict=True)], axis=2)
+    frames = np.concatenate(
+        [np.repeat(_frame(one.mount)[:, :, None], n, axis=2) for one, n in zip(found, lengths, strict=True)], axis=2
+    )
+    pairs = list(zip(found, lengths, strict=True))
+    time = np.concatenate([one.start + (one.first + np.arange(n) + 0.5) * interval for one, n in pairs])
     clipped = {name for one in found for name in one.clipped}
     return TurnRecords(
         name=f"{records.name}#turntable",
@@ -271,7 +277,7 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
         lines=sum(one.lines for one in found),
         noise=tuple(_noise(found, int(row), interval) for row in sensors),
         interval=interval,
-        time=np.concatenate([one.start + (one.first + np.arange(n) + 0.5) * interval for one, n in zip(found, lengths, strict=True)]),
+        time=time,
         records=slices,
         labels=tuple(one.label for one in found),
         stretches=stretches_of(slices, interval, PIECE, counted.rate),
@@ -280,8 +286,8 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
         tangent=frames[:, 1],
         up=frames[:, 2],
         radius=np.repeat([float(one.mount["radius"]) for one in found], lengths),
-        temperature=_logged(means, names, "temperature", 100.0),
-        supply=_logged(means, names, "supply", 1.0),
+        temperature=smoothed(time, _logged(means, names, "temperature", 100.0)),
+        supply=smoothed(time, _logged(means, names, "supply", 1.0)),
         gravity=reference(records, "gravity", "gravity").value,
         usable=np.array([n not in clipped for n in channels.names]),
         notes=tuple(note for one in found for note in one.notes),

@@ -23,6 +23,7 @@ SETTLING = 14  # windows at either end of a record of a moving platter, where it
 # Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled edges
 # leave patterns that the encoder's second and first derivative cannot tell from motion
 HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
+INVERSIONS = 3  # of shown into true angle; each gains a factor of the error's size
 HELD_OUT = 3  # every third stretch is not fitted when a model is judged
 
 
@@ -100,12 +101,7 @@ class Turning:
         """The true motion, once the effects of the reference are taken off what it shows."""
         data = self.data
         shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
-        angle, rate, acceleration = shown.angle, shown.rate, shown.acceleration
-        for term in terms:
-            more, first, second = term.effect.turned(np.nan_to_num(shown.angle), term.at)
-            angle = angle - more
-            acceleration = acceleration - shown.acceleration * first - shown.rate**2 * second
-            rate = rate - shown.rate * first
+        angle, rate, acceleration = _true(shown, [term for term in terms if _turns(type(term.effect))])
         force = (
             -data.outward * data.radius * rate**2 + data.tangent * data.radius * acceleration + data.up * data.gravity
         )
@@ -193,6 +189,19 @@ class Turning:
         """Rows that carry an observation, (rows,)."""
         means = np.repeat(self.data.usable[:, None], len(self.data.stretches), axis=1)
         return np.concatenate([means, *(scale > 0.0 for scale in self._scales)], axis=1).reshape(-1)
+
+
+def _true(shown: Shown, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
+    """True angle, rate and acceleration: what the encoder shows is θ + Σδ(θ) of the true angle θ."""
+    angle = shown.angle
+    if not terms or not any(any(term.at.values()) for term in terms):
+        return angle, shown.rate, shown.acceleration
+    for _ in range(INVERSIONS):
+        angle = shown.angle - sum(term.effect.turned(np.nan_to_num(angle), term.at)[0] for term in terms)
+    errors = [term.effect.turned(np.nan_to_num(angle), term.at) for term in terms]
+    first, second = (sum((one[k] for one in errors), np.zeros_like(angle)) for k in (1, 2))
+    rate = shown.rate / (1.0 + first)
+    return angle, rate, (shown.acceleration - rate**2 * second) / (1.0 + first)
 
 
 def _turns(kind: type) -> bool:

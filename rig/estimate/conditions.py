@@ -1,0 +1,31 @@
+"""Logged temperature and supply as smooth functions of time.
+
+They drift slowly, but are logged with noise; noise in what a model takes as given makes a fitted coefficient too small
+and adds noise of its own. A polynomial in time replaces the readings where it leaves nothing but noise (von Neumann's
+ratio of successive differences, 1941); readings that jump, as after a step of the supply, stay as they are.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rig.motion import Array
+
+HIGHEST = 7  # degree
+
+
+def smoothed(time: Array, values: Array) -> Array:
+    """Readings (n,) at times (s, (n,)) without their noise, or as they are if no polynomial follows them."""
+    if len(values) < 12 or not np.isfinite(values).all():
+        return values
+    span = float(np.ptp(time)) or 1.0
+    x = 2.0 * (time - time.min()) / span - 1.0
+    for degree in range(HIGHEST + 1):
+        fit = np.polynomial.Chebyshev.fit(x, values, degree, domain=(-1.0, 1.0))
+        left = values - fit(x)
+        square = float(left @ left)
+        if square == 0.0 or float(np.sum(np.diff(left) ** 2)) / square > 2.0 - 4.0 / math.sqrt(len(values)):
+            return np.asarray(fit(x), np.float64)
+    return values

@@ -101,6 +101,10 @@ class Local:
     pole: Array
     zero: Array
 
+    def only(self, index: NDArray[np.intp]) -> Local:
+        """Of some channels."""
+        return Local(self.sensitivity[index], self.pole[index], self.zero[index])
+
 
 class Effect:
     """One physical effect. Subclasses say what it is and override the hooks of their stage; the rest do nothing.

@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Response = Callable[[Array], Complexes]
 
-PHASES = 256
-FINE = 1024  # phases for a characteristic with a kink, whose high harmonics would fold into low ones
+PHASES = 64  # enough for a cube of five harmonics
+FINE = 512  # phases for a characteristic with a kink, whose high harmonics would fold into low ones
 ORDERS = 6  # harmonics 0 … 5
 MARGIN = 64  # samples added to either end of a stretch before it is filtered
 

@@ -27,6 +27,6 @@ class Saturation(Effect):
 
     def starts(self, motion: Motion, on: Quantity | None) -> list[dict[str, float]]:
         """Shares of the largest input that varies: the drive's amplitude, or the rate of the table."""
-        swing = motion.rate if on == "rate" else motion.along[:, 1] if motion.place == "shaker" else motion.force
+        swing = motion.rate if on == "rate" else motion.along[:, 1:2]
         peak = float(np.max(np.abs(swing), initial=0.0))
         return [{"limit": share * peak} for share in SHARES] if peak > 0.0 else []

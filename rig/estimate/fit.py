@@ -48,7 +48,7 @@ class Part(Protocol):
     def counted(self) -> NDArray[np.bool_]: ...
     @property
     def reference(self) -> Motion: ...
-    def raw(self, local: Local, terms: Sequence[Term]) -> NDArray[np.inexact]: ...
+    def raw(self, local: Local, terms: Sequence[Term], only: Indices | None = None) -> NDArray[np.inexact]: ...
     def whitened(self, raw: NDArray[np.inexact]) -> Array: ...
     def each_channel(self, raw: NDArray[np.inexact]) -> Array: ...
     def blocks(self) -> list[tuple[slice, Indices]]: ...
@@ -318,7 +318,7 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
     first = 0
     for number, part in enumerate(parts):
         mask = None if use is None else use[first : first + part.rows]
-        blocks += _blocks(part, number, state, order, raws[number], white[number], first, mask)
+        blocks += _blocks(part, number, state, order, raws[number], first, mask)
         first += part.rows
     normal, downhill = np.zeros((order.size, order.size)), np.zeros(order.size)
     for block in blocks:
@@ -334,7 +334,7 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
 
 
 def _blocks(
-    part: Part, number: int, state: State, order: Layout, raw: NDArray[np.inexact], white: Array, first: int,
+    part: Part, number: int, state: State, order: Layout, raw: NDArray[np.inexact], first: int,
     mask: NDArray[np.bool_] | None,
 ) -> list[Block]:  # fmt: skip
     local = state.local(part, number)
@@ -349,7 +349,7 @@ def _blocks(
     shared, where = [part.extra], [order.nuisances[number] + np.arange(part.extra.shape[1])]
     for at, term in zip(order.terms, state.terms, strict=True):
         others = [one for one in state.terms if one is not term]
-        shared.append(term_columns(part, local, others, term, white))
+        shared.append(term_columns(part, local, others, term, raw))
         where.append(at + np.arange(len(fitted(term))))
     common, columns = np.concatenate(shared, axis=1), np.concatenate(where)
     mine = order.own(part, number)
@@ -364,15 +364,26 @@ def _blocks(
     return blocks
 
 
-def term_columns(part: Part, local: Local, others: Sequence[Term], term: Term, white: Array | None = None) -> Array:
-    """Derivatives of a part's whitened prediction by a term's coordinates, (rows, k)."""
-    if part.place not in term.effect.places:
-        return np.zeros((part.rows, len(fitted(term))))
-    if white is None:
-        white = part.whitened(part.raw(local, [*others, term]))
+def term_columns(
+    part: Part, local: Local, others: Sequence[Term], term: Term, base: NDArray[np.inexact] | None = None
+) -> Array:
+    """Derivatives of a part's whitened prediction by a term's coordinates, (rows, k).
+
+    `base` is the prediction at the term's own coordinates, if it is known. Only the channels concerned are worked out.
+    """
+    names = fitted(term)
+    if part.place not in term.effect.places or not len(part.channels.of(term.on)):
+        return np.zeros((part.rows, len(names)))
+    if base is None:
+        base = part.raw(local, [*others, term])
+    index = part.channels.of(term.on)
+    only = index if term.on is not None and term.effect.stage != "reference" else None
     columns = []
     for coordinate in term.effect.coordinates:
         if not coordinate.searched:
             nearby = term.moved(**{coordinate.name: term.at[coordinate.name] + coordinate.step})
-            columns.append((part.whitened(part.raw(local, [*others, nearby])) - white) / coordinate.step)
+            change = np.zeros_like(base)
+            where = slice(None) if only is None else only
+            change[where] = (part.raw(local, [*others, nearby], only) - base[where]) / coordinate.step
+            columns.append(part.whitened(change))
     return np.stack(columns, axis=1) if columns else np.zeros((part.rows, 0))

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.estimate import fit as fitting
 from rig.estimate.fit import Fit, fitted
@@ -74,13 +75,12 @@ class _Sight:
 
     found: Fit
     inverse: Array
-    white: tuple[Array, ...]
+    raws: tuple[NDArray[np.inexact], ...]
 
     @classmethod
     def of(cls, found: Fit) -> _Sight:
-        raws = fitting.predicted(found.parts, found.state)
-        white = tuple(p.whitened(raw) for p, raw in zip(found.parts, raws, strict=True))
-        return cls(found, fitting.inverse(found.normal), white)
+        raws = tuple(fitting.predicted(found.parts, found.state))
+        return cls(found, fitting.inverse(found.normal), raws)
 
     def cross(self, columns: Array) -> Array:
         """Products with the model's columns, (parameters, k)."""
@@ -93,15 +93,15 @@ class _Sight:
         """Columns of a candidate at its coordinates, (rows, k), and what it changes there already, (rows,)."""
         found = self.found
         parts, moved = [], []
-        for number, (part, white) in enumerate(zip(found.parts, self.white, strict=True)):
-            if part.place in term.effect.places:
-                local = found.state.local(part, number)
-                here = part.whitened(part.raw(local, [*found.state.terms, term])) if any(term.at.values()) else white
-                parts.append(fitting.term_columns(part, local, found.state.terms, term, here))
-                moved.append(here - white)
-            else:
-                parts.append(np.zeros((part.rows, len(fitted(term)))))
-                moved.append(np.zeros(part.rows))
+        for number, (part, raw) in enumerate(zip(found.parts, self.raws, strict=True)):
+            shifted = np.zeros(part.rows)
+            here: NDArray[np.inexact] | None = raw
+            local = found.state.local(part, number)
+            if any(term.at.values()) and part.place in term.effect.places:
+                here = part.raw(local, [*found.state.terms, term])
+                shifted = part.whitened(here - raw)
+            parts.append(fitting.term_columns(part, local, found.state.terms, term, here))
+            moved.append(shifted)
         whole, shift = np.concatenate(parts), np.concatenate(moved)
         if found.use is not None:
             whole, shift = whole * found.use[:, None], shift * found.use

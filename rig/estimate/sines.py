@@ -24,6 +24,7 @@ from rig.noise import NoiseModel
 
 MAINS_ORDERS = (1, 3)
 LINES = ORDERS + len(MAINS_ORDERS)  # mean, harmonics, mains lines
+REMEMBERED = 8  # readings of the reference
 HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
 
 
@@ -90,6 +91,7 @@ class Sines:
         self.data, self.name, self.channels = data, data.name, data.channels
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
+        self._moved: dict[tuple[object, ...], Motion] = {}
         self.extra = np.zeros((self.rows, 0))
         self.target = self.whitened(data.observed)
 
@@ -115,6 +117,14 @@ class Sines:
 
     def moved(self, terms: Sequence[Term]) -> Motion:
         """The true motion, once the effects of the reference are taken off what it shows."""
+        key = reference_key(terms)
+        if key not in self._moved:
+            if len(self._moved) > REMEMBERED:
+                self._moved.clear()
+            self._moved[key] = self._true(terms)
+        return self._moved[key]
+
+    def _true(self, terms: Sequence[Term]) -> Motion:
         gated = any(term.effect.looks_in == "dropouts" for term in terms)
         along, shown = self.data.gated if gated else self.data.shown, self.reference
         for term in terms:
@@ -124,18 +134,19 @@ class Sines:
         still = np.zeros_like(force)
         return replace(shown, grid=grid, along=along, force=force, rate=still, turning=still)
 
-    def raw(self, local: Local, terms: Sequence[Term]) -> Complexes:
-        """Predicted lines of every channel, V, (c, p, LINES)."""
+    def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
+        """Predicted lines of every channel (or of some), V, (c, p, LINES)."""
         terms = [term for term in terms if self.place in term.effect.places]
-        found = np.zeros(self.data.observed.shape, np.complex128)
-        found[..., :ORDERS] = volts(
-            self.moved(terms), self.channels, local, terms, self.data.before[..., :ORDERS]
-        )
+        channels, before = self.channels, self.data.before[..., :ORDERS]
+        if only is not None:
+            channels, local, before = channels.only(only), local.only(only), before[only]
+        found = np.zeros((len(channels.names), len(self.data.frequency), LINES), np.complex128)
+        found[..., :ORDERS] = volts(self.moved(terms), channels, local, terms, before)
         for term in terms:
             for place, order in enumerate(MAINS_ORDERS, ORDERS):
                 more = term.effect.at_mains(order, self.reference.elapsed, term.at)
                 if more is not None:
-                    found[self.channels.of(term.on), :, place] += more
+                    found[channels.of(term.on), :, place] += more
         return found
 
     @cached_property
@@ -214,6 +225,12 @@ class Sines:
         line = np.diagonal(self._lines, axis1=2, axis2=3).real.transpose(2, 0, 1) > 0.0
         both = np.repeat(line[..., None], 2, axis=-1).reshape(c, p, -1)
         return np.concatenate([mean[..., None], both], axis=-1).reshape(-1)
+
+
+def reference_key(terms: Sequence[Term]) -> tuple[object, ...]:
+    """What decides how the reference is read: effects of its stage with their coordinates, and how fine it must be."""
+    stage = tuple((t.effect.name, *t.at.values()) for t in terms if t.effect.stage == "reference")
+    return (*stage, any(t.effect.kinked for t in terms))
 
 
 def split(rows: Array, channels: int, points: int) -> tuple[Array, Complexes]:

@@ -15,7 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Local, Term, volts
+from rig.estimate.sines import REMEMBERED, reference_key
+from rig.model import Channels, Effect, Local, Term, volts
 from rig.motion import Array, Motion, Stretches
 from rig.noise import NoiseModel
 
@@ -80,6 +81,7 @@ class Turning:
         self.data, self.name, self.channels = data, data.name, data.channels
         self.grid = Stretches(data.interval, data.records)
         self.extra = np.zeros((self.rows, 0))
+        self._moved: dict[tuple[object, ...], Motion] = {}
         self.target = self.whitened(data.observed)
 
     @property
@@ -99,6 +101,14 @@ class Turning:
 
     def moved(self, terms: Sequence[Term]) -> Motion:
         """The true motion, once the effects of the reference are taken off what it shows."""
+        key = reference_key(terms)
+        if key not in self._moved:
+            if len(self._moved) > REMEMBERED:
+                self._moved.clear()
+            self._moved[key] = self._read(terms)
+        return self._moved[key]
+
+    def _read(self, terms: Sequence[Term]) -> Motion:
         data = self.data
         shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
         angle, rate, acceleration = _true(shown, [term for term in terms if _turns(type(term.effect))])
@@ -112,12 +122,13 @@ class Turning:
             outward=data.outward, tangent=data.tangent,
         )  # fmt: skip
 
-    def raw(self, local: Local, terms: Sequence[Term]) -> Array:
-        """Predicted window means of every channel, V, (c, n)."""
+    def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
+        """Predicted window means of every channel (or of some), V, (c, n)."""
         terms = [term for term in terms if self.place in term.effect.places]
-        changed = any(hook(type(term.effect)) for term in terms for hook in (_turns, _closes))
-        motion = self.moved(terms) if changed else self.reference
-        return np.asarray(volts(motion, self.channels, local, terms), np.float64)
+        channels = self.channels
+        if only is not None:
+            channels, local = channels.only(only), local.only(only)
+        return np.asarray(volts(self.moved(terms), channels, local, terms), np.float64)
 
     @cached_property
     def _means(self) -> Array:
@@ -148,12 +159,25 @@ class Turning:
         from scipy.fft import dct
 
         means, lines = [], []
-        for (begin, end), scale in zip(self.data.stretches, self._scales, strict=True):
-            turned = dct(raw[:, begin:end], type=2, norm="ortho", axis=1)
-            means.append(turned[:, 0] / np.sqrt(end - begin))
-            lines.append(turned[:, 1:] * scale)
-        first = np.einsum("cst,ct->cs", self._means, np.stack(means, axis=1))
+        for begin, count, pieces, scale in self._together:
+            table = raw[:, begin : begin + count * pieces].reshape(len(raw), pieces, count)
+            turned = dct(table, type=2, norm="ortho", axis=2)
+            means.append(turned[..., 0] / np.sqrt(count))
+            lines.append((turned[..., 1:] * scale).reshape(len(raw), -1))
+        first = np.einsum("cst,ct->cs", self._means, np.concatenate(means, axis=1))
         return np.asarray(np.concatenate([first, *lines], axis=1).reshape(-1), np.float64)
+
+    @cached_property
+    def _together(self) -> list[tuple[int, int, int, Array]]:
+        """Stretches that follow each other and are equally long: first window, length, how many, scales."""
+        found: list[tuple[int, int, int, list[Array]]] = []
+        for (begin, end), scale in zip(self.data.stretches, self._scales, strict=True):
+            if found and found[-1][1] == end - begin and found[-1][0] + found[-1][1] * found[-1][2] == begin:
+                first, count, pieces, scales = found[-1]
+                found[-1] = (first, count, pieces + 1, [*scales, scale])
+            else:
+                found.append((begin, end - begin, 1, [scale]))
+        return [(first, count, pieces, np.stack(scales, axis=1)) for first, count, pieces, scales in found]
 
     def each_channel(self, raw: NDArray[np.inexact]) -> Array:
         """Whitened changes that are every channel's own; each moves its own rows only, (rows,)."""
@@ -204,14 +228,8 @@ def _true(shown: Shown, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
     return angle, rate, (shown.acceleration - rate**2 * second) / (1.0 + first)
 
 
-def _turns(kind: type) -> bool:
-    from rig.model import Effect
-
-    return kind.turned is not Effect.turned  # type: ignore[attr-defined, no-any-return]
-
-
-def _closes(kind: type) -> bool:
-    return kind.looks_in == "closure"  # type: ignore[attr-defined, no-any-return]
+def _turns(kind: type[Effect]) -> bool:
+    return kind.turned is not Effect.turned
 
 
 def only_stretches(data: TurnRecords, seconds: float) -> TurnRecords:
@@ -226,7 +244,9 @@ def stretches_of(
     found = []
     for begin, end in records:
         margin = SETTLING if np.any(rate[begin:end] != 0.0) else 0
-        pieces = max(1, round((end - begin - 2 * margin) * interval / seconds))
-        bounds = np.linspace(begin + margin, end - margin, pieces + 1).astype(int).tolist()
-        found += [(b, e) for b, e in zip(bounds, bounds[1:], strict=False) if e - b > 4]
+        length = end - begin - 2 * margin
+        pieces = max(1, round(length * interval / seconds))
+        if length // pieces > 4:  # of equal length, so that one transform does them all
+            first = begin + margin + np.arange(pieces) * (length // pieces)
+            found += [(int(b), int(b) + length // pieces) for b in first]
     return tuple(found)

@@ -9,7 +9,7 @@ export UV_PYTHON_DOWNLOADS = never
 # The machine's own certificates: a laboratory network may have its own authority.
 export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: demo test check bench study lock clean
+.PHONY: demo test check bench study blind lock clean
 
 $(UV):
 	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
@@ -47,11 +47,19 @@ bench: $(V)/.oracle ## the measured bars, printed as ratios
 study: $(V)/.dev ## two hundred simulated worlds: how often the stated intervals hold the truth (RIG_SEEDS; ten minutes)
 	@$(V)/bin/python -m pytest -q -s tests/benchmarks -o python_files='study_*.py' -o timeout=7200 -p no:xdist
 
+$(V)/.peers: requirements-peers.lock $(V)/.dev
+	@$(UV) pip install -q --python $(V)/bin/python --require-hashes -r requirements-peers.lock
+	@touch $@
+
+blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 ONLY=one OUT=…; hours)
+	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers) $(foreach table,$(ONLY),--only $(table))
+
 lock: $(UV) ## renew the hashed locks (names no registry)
 	@$(UV) lock -q
 	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --no-dev --group build > requirements-run.lock
 	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build > requirements.lock
 	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build --group oracle > requirements-bench.lock
+	@$(UV) export -q --format requirements.txt --no-emit-project --no-header --no-annotate --group build --group peers > requirements-peers.lock
 
 clean:
 	@rm -rf .venv .tools runs .pytest_cache .mypy_cache .ruff_cache

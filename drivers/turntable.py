@@ -63,7 +63,7 @@ class Limits:
 
     rate: float = 0.05
     slope: float = 0.0005
-    wow: float = 0.01
+    wow: float = 0.03
     revolutions: int = 5
     timeout: float = 60.0
 
@@ -209,7 +209,7 @@ class Gate:
             if not abs(error) <= limits.rate:
                 wanted = f"{self._nominal / RPM:.2f} rpm ± {limits.rate:.0%} for {limits.revolutions} revolutions"
                 return f"{abs(revolution.rate) / RPM:.2f} rpm, wanted {wanted}"
-            if not revolution.wow <= limits.wow:
+            if revolution.lines == LINES and not revolution.wow <= limits.wow:
                 return f"wow {revolution.wow:.2%}, wanted at most {limits.wow:.2%}"
         if len(self._judged) < limits.revolutions:
             return f"{len(self._judged)} good revolutions, wanted {limits.revolutions}"
@@ -249,7 +249,7 @@ class Settings(BaseModel):
 
     rate_limit: Ratio = Field(default=0.05, gt=0, lt=0.2)
     slope_limit: Ratio = Field(default=0.0005, gt=0, description="relative change of rate per revolution")
-    wow_limit: Ratio = Field(default=0.01, gt=0, description="largest distance of a sector's rate from the mean")
+    wow_limit: Ratio = Field(default=0.03, gt=0, description="largest distance of a sector's rate from the mean")
     revolutions: int = Field(default=5, ge=2, le=100, description="consecutive revolutions judged together")
     timeout: Time = Field(default=60.0, gt=0, description="on the bench's clock")
     direction: Literal[-1, 1] = -1

@@ -78,7 +78,7 @@ def solve(one: Dimension, other: Dimension, solved: dict[str, Dimension]) -> boo
     left = (one / other).known(solved)
     if not left.unknowns:
         return left.bare
-    name = left.unknowns[-1]
+    name = left.unknowns[0]
     rest = Dimension({key: power for key, power in left.powers.items() if key != name})
     solved[name] = rest ** (Fraction(-1) / left.powers[name])
     return True

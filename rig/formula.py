@@ -10,6 +10,7 @@ the unit that makes the term fit its channel. log takes the number that its argu
 from __future__ import annotations
 
 import ast
+import itertools
 import math
 import re
 import warnings
@@ -29,6 +30,7 @@ from rig.motion import Periods
 LONGEST = 400  # characters
 DEEPEST = 40  # operations within one another
 HIGHEST_POWER = 6.0
+MOST = 8  # coefficients
 LARGEST = 1e30  # number in the text
 LINEAR_STEP = 1e-6  # a term that is straight may take any; this one stays far from rounding
 CURVED_STEP = 1e-3  # of a start
@@ -79,22 +81,29 @@ def parse(text: str) -> Formula:
     """Read a formula. Raises BadInput with the column, counted from one, of what it may not hold."""
     if len(text) > LONGEST:
         raise _wrong(LONGEST + 1, f"{len(text)} characters", f"at most {LONGEST}")
-    strange = re.search(r"[^ -~]", text)
+    strange = re.search(r"[^ -~]|#", text)
     if strange:
         raise _wrong(strange.start() + 1, repr(strange[0]), _WANTED)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SyntaxWarning)  # "1 is not callable": it is refused below
-            tree = ast.parse(f"({text}\n)", mode="eval").body  # the line's end closes a comment
-    except SyntaxError as error:
-        column = max(1, min((error.offset or 2) - 1, len(text) + 1))
-        raise _wrong(column, _near(text, column), _WANTED) from error
-    except (ValueError, RecursionError, MemoryError) as error:
-        raise _wrong(1, "something that cannot be read", _WANTED) from error
+    tree = _tree(text)
     _allowed(tree, 1)
     names = list(dict.fromkeys(one.id for one in _names(tree)))
     signals = tuple(name for name in names if name in SIGNALS)
     return Formula(text, tree, signals, tuple(name for name in names if name not in SIGNALS))
+
+
+def _tree(text: str) -> ast.expr:
+    """The tree of one expression; columns of its nodes count from one."""
+    blank = len(text) - len(text.lstrip())
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # "1 is not callable": it is refused later
+            ast.parse(text.strip(), mode="eval")
+            return ast.parse(f"({text})", mode="eval").body
+    except SyntaxError as error:
+        column = blank + max(1, min(error.offset or 1, len(text.strip()) + 1))
+        raise _wrong(column, _near(text, column), _WANTED) from error
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise _wrong(1, "something that cannot be read", _WANTED) from error
 
 
 def formula_effect(
@@ -105,11 +114,13 @@ def formula_effect(
     places: tuple[str, ...] = ("shaker", "turntable"),
     units: Mapping[str, str] = MappingProxyType({}),
     starts: Mapping[str, tuple[float, ...]] = MappingProxyType({}),
+    channels: tuple[str, ...] = (),
 ) -> Effect:
     """An effect that adds a formula's value to what the channels of one quantity feel.
 
     `units` states units of coefficients that the formula leaves open. Coefficients in which the formula is linear start
-    at zero; the others need `starts`, at which fits begin. Signals that exist at one place only narrow `places`.
+    at zero; the others need `starts`, at which fits begin. Signals that exist at one place only narrow `places`. With
+    `channels` only those feel it, instead of all of the quantity.
     Raises BadInput for a text that is no formula, and for dimensions, places or starts that do not fit.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
@@ -117,6 +128,8 @@ def formula_effect(
     formula = parse(text)
     if not formula.coefficients:
         raise _wrong(1, f"'{text.strip()}' without a coefficient", "a name that is no signal, such as k")
+    if len(formula.coefficients) > MOST:
+        raise _wrong(1, f"{len(formula.coefficients)} coefficients", f"at most {MOST}")
     stray = [one for one in (*units, *starts) if one not in formula.coefficients]
     if stray:
         raise BadInput(
@@ -133,6 +146,7 @@ def formula_effect(
         "kinked": formula.kinked,
         "name": name,
         "formula": formula,
+        "only": channels,
         "__doc__": f"What is felt grows by {text.strip()}.",
     }
     return cast(Effect, type("Formula", (FormulaEffect,), members)())
@@ -149,6 +163,7 @@ class FormulaEffect(Effect):
     separate_by = "a measurement in which the signals of the formula vary apart from each other"
     source = "a formula of one's own"
     formula: ClassVar[Formula]
+    only: ClassVar[tuple[str, ...]] = ()
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         """What is felt and the formula's value, (c, *G). Raises BadInput where the formula has no value at a start."""
@@ -162,6 +177,9 @@ class FormulaEffect(Effect):
                 f"formula: found no value of '{self.formula.text}' in {share:.3g} of the record, "
                 "wanted a formula without a division by zero or a root or logarithm of negative numbers"
             )
+        if self.only:
+            theirs = np.array([name in self.only for name in channels.names])
+            more = more * theirs.reshape(-1, *(1,) * (felt.ndim - 1))
         return np.asarray(felt + np.broadcast_to(more, felt.shape))
 
 
@@ -177,7 +195,7 @@ def _signal(name: str, motion: Motion, channels: Channels) -> Array:
         tall = channels.rates.reshape(-1, *(1,) * (motion.rate.ndim - 1))
         return np.where(tall, motion.rate[channels.axis], motion.force[channels.axis])
     if name in own:
-        return (motion.rate if name.startswith("w") else motion.force)[own[name]]
+        return np.asarray((motion.rate if name.startswith("w") else motion.force)[own[name]])
     if name in ("omega", "alpha"):
         return np.asarray(np.sum(motion.up * (motion.rate if name == "omega" else motion.turning), axis=0))
     if name == "g":
@@ -312,7 +330,7 @@ def _units(formula: Formula, on: Quantity, stated: Mapping[str, str]) -> dict[st
         raise _wrong(_column(formula.tree), f"a term in {checking.shown(whole)}", f"{si}, the unit of the channel")
     found = {name: unknown(name).known(checking.solved) for name in formula.coefficients}
     for name, dimension in found.items():
-        if dimension.unknowns:
+        if dimension.unknowns and f"?{name}" not in checking.solved:
             column = next(_column(one) for one in _names(formula.tree) if one.id == name)
             raise _wrong(column, f"'{name}', whose unit the formula leaves open", f"its unit stated, units {name}=…")
     return {name: str(dimension) for name, dimension in found.items()}
@@ -399,10 +417,11 @@ def _straight(formula: Formula) -> tuple[str, ...]:
     """Coefficients to which, taken together, the formula is proportional."""
     names = formula.coefficients
     inside = {one.id for node in ast.walk(formula.tree) for one in _bent(node)}
-    outside = tuple(name for name in names if name not in inside)
-    for chosen in (outside, names[:1]):
-        if chosen and _degree(formula.tree, chosen) == 1:
-            return chosen
+    outside = [name for name in names if name not in inside]
+    for size in range(len(outside), 0, -1):
+        for chosen in itertools.combinations(outside, size):
+            if _degree(formula.tree, chosen) == 1:
+                return chosen
     return ()
 
 
@@ -441,7 +460,7 @@ def _degree(node: ast.expr, chosen: Sequence[str]) -> int | None:
 
 
 def _column(node: ast.expr) -> int:
-    return max(node.col_offset, 1)  # one parenthesis was put before the text
+    return node.col_offset  # one parenthesis stood before the text
 
 
 def _near(text: str, column: int) -> str:

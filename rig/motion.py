@@ -87,8 +87,8 @@ class Periods:
         return np.asarray((harmonics @ _transforms(self.phases)[1]).real)
 
     def rise(self, signal: Array) -> Array:
-        step = 1.0 / (self.frequency[:, None] * self.phases)
-        return np.asarray((np.roll(signal, -1, -1) - np.roll(signal, 1, -1)) / (2.0 * step))
+        order = 2j * math.pi * np.arange(self.phases // 2 + 1) * self.frequency[:, None]
+        return np.asarray(np.fft.irfft(np.fft.rfft(signal) * order, self.phases))
 
 
 @dataclass(frozen=True)

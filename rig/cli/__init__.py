@@ -28,6 +28,16 @@ COMMANDS = {
     "export": ("calibration", "Write a calibration for robots and other programs."),
     "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
     "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
+    "compare": ("repair", "Error against noise, and where a model fails."),
+    "diagnose": ("repair", "Which effect is missing in a model, and why."),
+    "add": ("repair", "Add an effect to a model and refit."),
+    "remove": ("repair", "Take an effect out of a model and refit."),
+    "fit": ("repair", "Fit a model to runs and keep it in its file."),
+    "history": ("repair", "The ladder of a model's repair, as table and figure."),
+    "next": ("investigate", "Which measurement would decide what is still open."),
+    "floor": ("investigate", "Measure the bench's own ripple from remounts."),
+    "investigate": ("investigate", "Measure, diagnose, and go on until adequate or undecidable."),
+    "demo": ("investigate", "A sealed world to learn on: demo hidden."),
     "bench": ("bench", "Check, serve or reveal the bench."),
     "daq": ("daq", "The acquisition service on the PC-104 machine."),
     "init": ("init", "Copy example configs and procedures into this folder."),
@@ -65,6 +75,8 @@ def main() -> NoReturn:
     """Entry point: deliberate errors become one message on stderr and the exit code that the error names."""
     from rig.errors import RigError, Terminated
 
+    # the matrices of a fit are small: threads of the linear algebra wait for one another longer than they work
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:

@@ -13,9 +13,7 @@ class DriveFeedthrough(Effect):
     places = ("shaker",)
     coordinates = (Coordinate("share", 1e-4),)
     parameters = (Parameter("share", "1", (-0.05, 0.05), (1e-5, 1e-3)),)
-    missing = (
-        "the same volts in all channels, in line with the drive's voltage: against the acceleration, ∝ 1/f²"
-    )
+    missing = "the same volts in all channels, in line with the drive's voltage: against the acceleration, ∝ 1/f²"
     confused_with = ("cross_axis", "high_pass", "mains_hum")
     separate_by = "the sensor turned over: the feed-through keeps its sign; a dummy in its place still shows it"
     source = "effects.md E10"

@@ -13,9 +13,7 @@ class EncoderGraduation(Effect):
     places = ("turntable",)
     coordinates = (Coordinate("rms", 1e-5),)
     parameters = (Parameter("rms", "rad", (0.0, 1e-3), (1e-5, 1e-4)),)
-    missing = (
-        "a pattern from line to line that repeats every turn, at every speed; nothing in whole turns"
-    )
+    missing = "a pattern from line to line that repeats every turn, at every speed; nothing in whole turns"
     confused_with = ("encoder_second_harmonic", "encoder_eccentricity", "missed_counts")
     separate_by = "twenty turns and more, averaged line by line: graduation repeats, the sampling of edges does not"
     source = "effects.md T03; HEDS-9040 data sheet"

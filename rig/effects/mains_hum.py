@@ -30,9 +30,7 @@ class MainsHum(Effect):
         Parameter("phase_third", "rad", (-math.inf, math.inf), (-math.pi, math.pi)),
         Parameter("offset", "Hz", (-0.5, 0.5), (-0.03, 0.03)),
     )
-    missing = (
-        "lines at 50 or 60 Hz and three times that, the same volts in all channels at every level, also at rest"
-    )
+    missing = "lines at 50 or 60 Hz and three times that, the same volts in all channels at every level, also at rest"
     confused_with = ("drive_feedthrough", "aliasing", "spur")
     separate_by = "a record at rest: hum stays, and its frequency wanders with the mains"
     source = "effects.md E09"

@@ -13,12 +13,8 @@ class MissedCounts(Effect):
     places = ("turntable",)
     coordinates = (Coordinate("share", 1e-4),)
     parameters = (Parameter("share", "1", (0.0, 1.0), (1e-5, 2e-2)),)
-    missing = (
-        "whole lines too few from index to index; the sensitivities of all gyros come out too high by the share"
-    )
+    missing = "whole lines too few from index to index; the sensitivities of all gyros come out too high by the share"
     confused_with = ("encoder_graduation", "buffer_gain")
-    separate_by = (
-        "the lines from index to index at several speeds: the disk's number is exact, loss goes with speed"
-    )
+    separate_by = "the lines from index to index at several speeds: the disk's number is exact, loss goes with speed"
     source = "effects.md T05, T08, U32"
     looks_in = "closure"

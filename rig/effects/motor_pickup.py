@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.model import Array, Channels, Coordinate, Effect, Motion, Parameter, Values
 
-ORDERS = (*range(1, 17), 18, 20, 24)  # per turn: pole pairs of usual direct-drive motors and their harmonics
+ORDERS = tuple(range(1, 17))  # per turn: poles of usual motors, as far as ten per second show them
 
 
 class MotorPickup(Effect):

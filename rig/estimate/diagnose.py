@@ -23,7 +23,7 @@ from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 
 Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
-CHANCE = 18.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
+CHANCE = 16.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
 PER_COORDINATE = 5.0  # more of it for each further coordinate
 PER_START = 1.5  # and for every factor e of starts tried
 FINDING = 30.0  # evidence that a test of its own must have

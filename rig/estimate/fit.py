@@ -318,7 +318,7 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
     first = 0
     for number, part in enumerate(parts):
         mask = None if use is None else use[first : first + part.rows]
-        blocks += _blocks(part, number, state, order, raws[number], first, mask)
+        blocks += blocks_of(part, number, state, order, raws[number], first, mask)
         first += part.rows
     normal, downhill = np.zeros((order.size, order.size)), np.zeros(order.size)
     for block in blocks:
@@ -333,10 +333,11 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
     )  # fmt: skip
 
 
-def _blocks(
-    part: Part, number: int, state: State, order: Layout, raw: NDArray[np.inexact], first: int,
-    mask: NDArray[np.bool_] | None,
+def blocks_of(
+    part: Part, number: int, state: State, order: Layout, raw: NDArray[np.inexact], first: int = 0,
+    mask: NDArray[np.bool_] | None = None,
 ) -> list[Block]:  # fmt: skip
+    """Columns of all parameters for the rows of one part, `raw` being its prediction at the state."""
     local = state.local(part, number)
     nearby = [
         replace(local, sensitivity=local.sensitivity + STEP * part.channels.sensitivity),

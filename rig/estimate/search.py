@@ -7,6 +7,7 @@ seen in this data at all. The best candidates are then refitted with all paramet
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -260,18 +261,14 @@ def _improved(
 
 
 def admissible(term: Term, u: Mapping[str, float]) -> bool:
-    """Whether the parameters are within what physics allows, give or take their uncertainty."""
-    for sign in (0.0, 1.0, -1.0):
-        at = {name: value + sign * 2.0 * u.get(name, 0.0) for name, value in term.at.items()}
-        physical = term.effect.physical(at)
+    """Whether the parameters are within what physics allows, or no more than two standard uncertainties outside."""
+    names = [name for name in term.at if u.get(name, 0.0) > 0.0]
+    for signs in itertools.product((0.0, 1.0, -1.0), repeat=len(names)):
+        moved = {name: term.at[name] + 2.0 * sign * u[name] for name, sign in zip(names, signs, strict=True)}
+        physical = term.effect.physical({**term.at, **moved})
         if all(_within(physical[p.name], p.bounds) for p in term.effect.parameters):
-            return sign == 0.0 or _mostly_inside(term, u)
+            return True
     return False
-
-
-def _mostly_inside(term: Term, u: Mapping[str, float]) -> bool:
-    """Outside by less than two standard uncertainties."""
-    return all(abs(term.at[name]) < 2.0 * one for name, one in u.items())
 
 
 def _within(value: float, bounds: tuple[float, float]) -> bool:

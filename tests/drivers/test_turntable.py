@@ -151,7 +151,7 @@ def test_the_gate_opens_after_five_steady_revolutions_near_nominal(rpm: float, o
     [
         ({"rpm": 100 / 3}, r"33\.3\d rpm, wanted 45\.00 rpm"),
         ({"rpm": 45 * 1.06}, r"47\.[67]\d rpm"),
-        ({"rpm": 45, "wow": 0.03}, "wow"),
+        ({"rpm": 45, "wow": 0.06}, "wow"),
         ({"rpm": 45, "slope": 0.001}, r"rate changes by \+0\.(09|10)"),
         ({"rpm": 45, "slope": -0.001}, r"rate changes by -0\.(09|10)"),
     ],
@@ -184,8 +184,14 @@ def test_the_wrong_sense_fails_at_once() -> None:
 def test_a_wrong_line_count_starts_the_count_again() -> None:
     gate = Gate(45.0)
     good = turns_at(45.0, 12)
-    states = fed(gate, [*good[:4], replace(good[4], lines=999, sectors=()), *good[5:]])
+    states = fed(gate, [*good[:4], replace(good[4], lines=900, sectors=()), *good[5:]])
     assert states == ["waiting"] * 9 + ["steady"] * 3
+
+
+def test_a_few_lost_lines_say_nothing_of_how_steady_the_platter_is() -> None:
+    gate = Gate(45.0)
+    good = turns_at(45.0, 8)
+    assert fed(gate, [*good[:2], replace(good[2], lines=999, sectors=()), *good[3:]])[-1] == "steady"
 
 
 def test_a_missed_index_is_counted_and_tolerated() -> None:
@@ -203,8 +209,8 @@ def test_revolutions_that_were_not_seen_break_the_run() -> None:
 @given(
     walk=st.lists(st.floats(-0.004, 0.004), min_size=1, max_size=60),
     start=st.floats(0.9, 1.1),
-    counts=st.lists(st.sampled_from([1000, 1000, 1000, 1000, 999, 2000, 1]), min_size=60, max_size=60),
-    wows=st.lists(st.floats(0, 0.012), min_size=60, max_size=60),
+    counts=st.lists(st.sampled_from([1000, 1000, 1000, 1000, 999, 900, 2000, 1]), min_size=60, max_size=60),
+    wows=st.lists(st.floats(0, 0.036), min_size=60, max_size=60),
 )
 def test_whatever_the_platter_does_an_open_gate_means_steady(
     walk: list[float], start: float, counts: list[int], wows: list[float]
@@ -223,7 +229,8 @@ def test_whatever_the_platter_does_an_open_gate_means_steady(
             last = seen[-5:]
             relative = [abs(one.rate) / (45.0 * RPM) for one in last]
             assert len(last) == 5
-            assert all(one.lines == LINES and one.wow <= limits.wow for one in last)
+            assert all(abs(one.lines - LINES) <= 50 for one in last)
+            assert all(one.wow <= limits.wow for one in last if one.lines == LINES)
             assert all(abs(value - 1) <= 0.05 for value in relative)
             assert abs(np.polyfit(range(5), relative, 1)[0] / np.mean(relative)) <= 0.0005 + 1e-12
         if verdict.state == "failed":

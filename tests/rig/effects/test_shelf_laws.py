@@ -123,7 +123,7 @@ def test_parameters_and_coordinates_are_two_ways_to_say_one_thing(name: str, see
 def test_a_fit_starts_with_every_coordinate_named(name: str) -> None:
     effect = effect_of(name)
     for place in effect.places:
-        starts = effect.starts(MOTIONS[place]())
+        starts = effect.starts(MOTIONS[place](), next(iter(effect.quantities), None))
         assert starts
         assert all(set(start) == {c.name for c in effect.coordinates} for start in starts)
 

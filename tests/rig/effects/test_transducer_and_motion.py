@@ -26,11 +26,12 @@ from rig.effects.supply_ratio import SupplyRatio
 from rig.effects.temperature_bias import TemperatureBias
 from rig.effects.transverse_motion import TransverseMotion
 from rig.effects.warm_up import WarmUp
-from rig.model import Array, Channels, Effect, Motion, Periods, Stretches
+from rig.model import Array, Channels, Effect, Motion, Periods, Quantity, Stretches
+from rig.motion import PHASES
 
 G = 10.0  # m/s², easy to reckon with
 X, Y, Z = np.eye(3)
-PHASE = 2.0 * math.pi * np.arange(256) / 256
+PHASE = 2.0 * math.pi * np.arange(PHASES) / PHASES
 
 
 def shaken(*frequency: float, amplitude: float = 1.0) -> Motion:
@@ -130,10 +131,19 @@ def test_play_takes_every_row_by_itself() -> None:
     np.testing.assert_array_equal(Hysteresis().transduce(u, shaken(80.0), {"width": 0.2}), rows)
 
 
-@pytest.mark.parametrize(("motion", "peak"), [(shaken(80.0, 160.0, amplitude=8.0), 8.0), (turned(-4.0), 4.0)])
-def test_saturation_is_looked_for_just_below_the_largest_input(motion: Motion, peak: float) -> None:
-    limits = [start["limit"] for start in Saturation().starts(motion)]
-    assert limits == pytest.approx([peak * s for s in (0.998, 0.99, 0.97, 0.93, 0.87, 0.75, 0.6)])
+@pytest.mark.parametrize(
+    ("motion", "on", "peak"),
+    [(shaken(80.0, 160.0, amplitude=8.0), "acceleration", 8.0), (turned(-4.0), "rate", 4.0)],
+)
+def test_saturation_is_looked_for_just_below_the_largest_input(motion: Motion, on: Quantity, peak: float) -> None:
+    limits = [start["limit"] for start in Saturation().starts(motion, on)]
+    assert max(limits) < peak
+    assert min(peak - one for one in limits) < 0.01 * peak
+    assert min(limits) < 0.7 * peak
+
+
+def test_saturation_is_not_looked_for_where_nothing_swings() -> None:
+    assert Saturation().starts(shaken(80.0, 160.0, amplitude=8.0), "rate") == []
 
 
 @pytest.mark.parametrize(("axis", "out"), [(0, 1.0 + 1e-3 * G), (1, 1.0), (2, 1.0)])
@@ -233,9 +243,9 @@ def test_gravity_goes_round_on_a_leaning_platter(angle: float, outward: float, t
 )
 def test_rocking_moves_the_sides_against_each_other(frequency: float, side: float, wave: Array) -> None:
     at = {"ratio": 1.0, "frequency": 100.0, "damping": 0.05}
-    more = Rocking().felt(np.zeros((1, 1, 256)), shaken(frequency), channels(0, side=side), at)
+    more = Rocking().felt(np.zeros((1, 1, PHASES)), shaken(frequency), channels(0, side=side), at)
     np.testing.assert_allclose(more[0, 0], wave, atol=1e-5)
-    assert not Rocking().felt(np.zeros((1, 1, 256)), shaken(frequency), channels(0, rates=True, side=side), at).any()
+    assert not Rocking().felt(np.zeros((1, 1, PHASES)), shaken(frequency), channels(0, rates=True, side=side), at).any()
 
 
 def test_rocking_turns_the_case_about_the_vertical() -> None:
@@ -260,7 +270,7 @@ def test_transverse_motion_is_upright_and_largest_at_its_mode(frequency: float, 
 def test_an_effect_of_no_size_needs_no_frequency_and_no_time(effect: Effect) -> None:
     motion, at = shaken(80.0), dict.fromkeys((c.name for c in effect.coordinates), 0.0)
     np.testing.assert_array_equal(effect.motion(motion, at).force, motion.force)
-    assert not effect.felt(np.zeros((1, 1, 256)), motion, channels(0, side=0.01), at).any()
+    assert not effect.felt(np.zeros((1, 1, PHASES)), motion, channels(0, side=0.01), at).any()
     assert not effect.output(np.zeros((1, 1, 6)), np.zeros((1, 1)), motion, channels(0), at)[1].any()
 
 
@@ -275,7 +285,7 @@ def test_the_shaker_is_not_on_the_turntable(effect: Effect) -> None:
 def test_the_turntable_is_not_on_the_shaker(effect: Effect) -> None:
     motion, at = shaken(80.0), {"cosine": 1.0, "sine": 1.0, "x": 1.0, "y": 1.0, "z": 1.0, "offset": 1.0}
     assert effect.motion(motion, at) is motion
-    assert not effect.felt(np.zeros((1, 1, 256)), motion, channels(0), at).any()
+    assert not effect.felt(np.zeros((1, 1, PHASES)), motion, channels(0), at).any()
 
 
 def test_an_arm_is_read_as_length_and_direction_from_z_towards_x() -> None:

@@ -1,0 +1,339 @@
+"""Commands that go on measuring until a model is understood: floor, next, investigate, demo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli.options import bench_option, bench_path, json_option, print_json, runs_option
+from rig.cli.repair import EFFECTS, MODEL, RUN_NAMES, START, Opened, model_options, opened
+
+if TYPE_CHECKING:
+    from rig.bench.steps import BenchFacts
+    from rig.estimate.diagnose import Diagnosis
+    from rig.estimate.experiments import Ranked
+
+MOST_ROUNDS = 6
+STANDARD: tuple[dict[str, Any], ...] = (
+    {"procedure": "frequency_sweep", "axis": "x"},
+    {"procedure": "turntable", "all": True},
+)
+
+
+@click.command(short_help="Measure the bench's own ripple from remounts.")
+@RUN_NAMES
+@runs_option
+@json_option
+def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
+    """Find the smooth ripple between three or more mountings of one axis, and keep it for every later fit.
+
+    Take the runs with: rig run remounts.yaml. The floor is written to floor.yaml under the runs folder.
+    """
+    from rig.estimate.evidence import evidence_of
+    from rig.estimate.floor import floor_of, path_of, said, save
+    from rig.notebook import records_of
+
+    found = floor_of(evidence_of(records_of(names, runs)))
+    path = path_of(runs)
+    save(path, found)
+    if as_json:
+        print_json({"floor": str(path), **found.as_dict()})
+        return
+    click.echo(said(found))
+    click.echo(f"floor: {path}")
+    click.echo(f"next: rig diagnose {' '.join(names)}")
+
+
+@click.command("next", short_help="Which measurement would decide what is still open.")
+@RUN_NAMES
+@bench_option
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Where to write the procedure.")
+@model_options
+def next_(
+    names: tuple[str, ...], bench: Path | None, out: Path | None, model: Path | None, start: str | None,
+    effects: Path | None, runs: Path, as_json: bool,
+) -> None:  # fmt: skip
+    """Rank the measurements that this bench can do by how well they would decide between what the data leave open.
+
+    Power is the χ² between two rivals that is expected after the measurement; 16 decides. The procedure of the first is
+    written as YAML.
+    """
+    work = opened(names, runs, model, start, effects)
+    diagnosis = _diagnosed(work)
+    rows = [(one, _minutes(one, bench)) for one in _ranked(diagnosis)]
+    rows = [(one, minutes) for one, minutes in rows if minutes is not None]
+    path = _written(rows[0][0], out or work.figures / "next.yaml") if rows else None
+    if as_json:
+        print_json(_ranking_as_json(diagnosis, rows, path))
+        return
+    click.echo("\n".join(_ranking_text(diagnosis, rows)))
+    if path is None:
+        then = f"rig add {diagnosis.named[0]} {work.words}" if diagnosis.named else f"rig compare {work.words}"
+        click.echo(f"next: {then}")
+    else:
+        click.echo(f"procedure: {path}")
+        click.echo(f"next: rig run {path}, then rig diagnose {work.words} last")
+
+
+globals()["next"] = next_  # the command's name is a built-in function's
+
+
+def _diagnosed(work: Opened) -> Diagnosis:
+    from rig.estimate.diagnose import diagnose
+    from rig.model_file import terms_of
+
+    terms = terms_of(work.model, work.bench.shelf)
+    return diagnose(work.bench.evidence, terms, shelf=work.bench.shelf, poles=work.model.poles)
+
+
+def _ranked(diagnosis: Diagnosis) -> list[Ranked]:
+    from rig.estimate.experiments import ranked
+
+    return ranked(diagnosis)
+
+
+def _minutes(one: Ranked, bench: Path | None) -> float | None:
+    """How long the measurement takes on this bench; None if the bench refuses it."""
+    from rig.bench import procedure_file
+    from rig.errors import ConfigError
+
+    try:
+        return procedure_file.plan(_document(one.option.document), _facts(bench)).duration / 60.0
+    except ConfigError:
+        return None
+
+
+def _facts(bench: Path | None) -> BenchFacts:
+    from rig.bench.benchfile import describe
+
+    return describe(bench_path(bench)).facts()
+
+
+def _document(body: Any) -> Any:
+    import yaml
+
+    from rig import document
+
+    return document.read_text(yaml.safe_dump(dict(body), allow_unicode=True, sort_keys=False), "(next measurement)")
+
+
+def _written(one: Ranked, path: Path) -> Path:
+    import yaml
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    body = {"title": f"{one.option.name}: {one.option.why}", **one.option.document}
+    text = yaml.safe_dump(body, allow_unicode=True, sort_keys=False)
+    path.write_text(f"# decides between {one.pair[0]} and {one.pair[1]}\n{text}", encoding="utf-8")
+    return path
+
+
+def _ranking_as_json(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]], path: Path | None) -> dict[str, Any]:
+    return {
+        "verdict": diagnosis.verdict,
+        "named": list(diagnosis.named),
+        "measurements": [
+            {"name": one.option.name, "why": one.option.why, "power": one.power, "decides": one.decides,
+             "between": list(one.pair), "minutes": minutes, "procedure": dict(one.option.document)}
+            for one, minutes in rows
+        ],
+        "procedure": None if path is None else str(path),
+    }  # fmt: skip
+
+
+def _ranking_text(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]]) -> list[str]:
+    if not rows:
+        what = ", ".join(diagnosis.named)
+        return [f"nothing is open between two effects: {diagnosis.verdict}{f' {what}' if what else ''}"]
+    width = max(len(one.option.name) for one, _ in rows)
+    lines = [f"  {'measurement':<{width}}  {'power':>8}  {'minutes':>7}  between"]
+    for one, minutes in rows:
+        lines.append(f"  {one.option.name:<{width}}  {one.power:>8.3g}  {minutes:>7.0f}  {' and '.join(one.pair)}")
+    best = rows[0][0]
+    if best.decides:
+        return [*lines, f"first: {best.option.name} - {best.option.why}"]
+    return [
+        *lines,
+        f"none is expected to decide between {best.pair[0]} and {best.pair[1]} (a power of 16 would): on this bench "
+        "they are one class; the first is the best there is",
+    ]
+
+
+@click.command(short_help="Measure, compare, diagnose, and go on until adequate or undecidable.")
+@bench_option
+@click.option("--yes", is_flag=True, help="Do not ask before each step.")
+@click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="Of the first sweep.")
+@MODEL
+@START
+@EFFECTS
+@runs_option
+@json_option
+def investigate(
+    bench: Path | None, yes: bool, axis: str, model: Path | None, start: str | None, effects: Path | None, runs: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Close the loop on a bench: measure, compare, diagnose, add what is missing, measure what is still open.
+
+    Every measurement is shown with its duration before it is taken. The loop ends when the model is adequate, when no
+    measurement of this bench would decide, or when you say no.
+    """
+    loop = _Loop(bench, yes or as_json, runs, model, start, effects, as_json)
+    for document in ({**STANDARD[0], "axis": axis}, STANDARD[1]):
+        if not loop.measured(document, "a standard run"):
+            break
+    verdict = loop.settled() if loop.names else "undecided"
+    if as_json:
+        print_json({"verdict": verdict, "runs": loop.names, "effects": loop.added, "model": str(loop.path or "")})
+    elif loop.names:
+        click.echo(f"verdict: {verdict}; effects in the model: {', '.join(loop.added) or 'none'}")
+        click.echo(f"next: rig history {' '.join(loop.names)}, rig compare {' '.join(loop.names)}")
+    else:
+        click.echo("nothing was measured; next: rig sweep --axis x")
+
+
+class _Loop:
+    """Runs taken so far, and effects that were added to the model's file."""
+
+    def __init__(
+        self, bench: Path | None, yes: bool, runs: Path, model: Path | None, start: str | None, effects: Path | None,
+        quiet: bool,
+    ) -> None:  # fmt: skip
+        self._bench, self._yes, self._runs, self._quiet = bench, yes, runs, quiet
+        self._model, self._start, self._effects = model, start, effects
+        self.names: list[str] = []
+        self.added: list[str] = []
+        self.path: Path | None = None
+
+    def measured(self, document: dict[str, Any], why: str) -> bool:
+        """Take one run, if it is wanted."""
+        from rig.bench import procedure_file
+
+        plan = procedure_file.plan(_document(document), _facts(self._bench))
+        self._say(f"measure: {plan.title}, about {plan.duration / 60.0:.0f} min - {why}")
+        if not self._yes and not click.confirm("  take it?", default=True):
+            return False
+        self.names.append(take(document, self._bench, self._runs, quiet=self._quiet))
+        return True
+
+    def settled(self) -> str:
+        """Diagnose, add, and measure again until nothing is left to do; the last verdict."""
+        from rig.cli.repair import verdict_text
+        from rig.estimate.conclusion import concluded
+
+        for _ in range(MOST_ROUNDS):
+            work = opened(self.names, self._runs, self._model, self._start, self._effects)
+            self.path = work.path
+            diagnosis = _diagnosed(work)
+            self._say(verdict_text(concluded(work.bench.evidence, diagnosis, work.bench.shelf)))
+            if diagnosis.verdict != "missing":
+                return diagnosis.verdict
+            rows = [one for one in _ranked(diagnosis) if one.decides and _minutes(one, self._bench) is not None]
+            worth = rows and rows[0].option.name not in ("repeat",)
+            if worth and self.measured(dict(rows[0].option.document), f"to decide between {' and '.join(rows[0].pair)}"):
+                continue
+            if not self._adds(work, diagnosis):
+                return "undecided"
+        return "undecided"
+
+    def _adds(self, work: Opened, diagnosis: Diagnosis) -> bool:
+        from rig.model_file import save
+        from rig.repair import added
+
+        taken = diagnosis.steps[0].taken
+        self._say(f"add: {taken.name}")
+        if not self._yes and not click.confirm("  add it to the model?", default=True):
+            return False
+        made = added(work.bench, work.model, taken.name, taken.term.on)
+        save(work.path, made.model)
+        self.added.append(taken.name)
+        return True
+
+    def _say(self, text: str) -> None:
+        if not self._quiet:
+            click.echo(text)
+
+
+def take(document: dict[str, Any], bench: Path | None, runs: Path, *, quiet: bool) -> str:
+    """Carry a procedure out as `rig run` does; the run's name."""
+    from dataclasses import replace
+
+    from rig.bench import procedure_file, runner
+    from rig.bench.benchfile import describe
+    from rig.cli.progress import Bar
+
+    description = describe(bench_path(bench))
+    read = _document(document)
+    plan = procedure_file.plan(read, description.facts())
+    order = runner.Order(
+        plan=plan, document=read.data, description=description, runs=runs, label=plan.procedure or "sequence"
+    )
+    with Bar(plan.title, quiet=quiet) as bar:
+        done = runner.run(replace(order, on_progress=bar.show))
+    return done.name
+
+
+@click.group(short_help="A sealed world to learn on: demo hidden.")
+def demo() -> None:
+    """Something to learn on, on the simulated bench."""
+
+
+@demo.command()
+@bench_option
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Which effect is hidden.")
+@click.option("--yes", is_flag=True, help="Do not wait between the steps; with --json only take the runs.")
+@runs_option
+@json_option
+@click.pass_context
+def hidden(
+    ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: Path, as_json: bool
+) -> None:
+    """A sealed world with one hidden effect: measure, compare, diagnose, add it, and see the error fall.
+
+    The world belongs to the runs folder. `rig bench reveal` tells what was hidden.
+    """
+    from rig.bench import assembly, control
+    from rig.bench.benchfile import describe
+
+    description = describe(bench_path(bench))
+    control.stop(assembly.state_folder(description, runs))
+    assembly.start_simulated(description, runs, seed)
+    names = [take(dict(document), bench, runs, quiet=as_json) for document in STANDARD]
+    if as_json:
+        print_json({"runs": names})
+        return
+    _guide(ctx, names, runs, yes)
+
+
+def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
+    """The steps that a person would take, one after another."""
+    from rig.cli import repair
+
+    words, common = " ".join(names), {"model": None, "start": None, "effects": None, "runs": runs, "as_json": False}
+    click.echo(f"\nOne effect is hidden in this world. Two runs were taken: {words}")
+    _pause(yes, "rig compare", words)
+    ctx.invoke(repair.compare, names=tuple(names), **common)
+    _pause(yes, "rig diagnose", words)
+    ctx.invoke(repair.diagnose, names=tuple(names), **common)
+    taken = _taken(names, runs)
+    if taken is not None:
+        name, on = taken
+        _pause(yes, f"rig add {name}", words)
+        ctx.invoke(repair.add, effect=name, names=tuple(names), on=on, formula=None, **common)
+        ctx.invoke(repair.history, names=tuple(names), **common)
+    click.echo("\nnow see whether it was true; next: rig bench reveal")
+
+
+def _taken(names: Sequence[str], runs: Path) -> tuple[str, Any] | None:
+    diagnosis = _diagnosed(opened(names, runs, None, None, None))
+    if not diagnosis.steps:
+        return None
+    term = diagnosis.steps[0].taken.term
+    return term.effect.name, term.on
+
+
+def _pause(yes: bool, command: str, words: str) -> None:
+    click.echo(f"\n$ {command} {words}")
+    if not yes:
+        click.pause("  press a key to run it ")

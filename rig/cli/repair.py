@@ -1,0 +1,398 @@
+"""Commands that explain a sensor: compare, fit, diagnose, add, remove, history."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from rig.cli.options import json_option, print_json, runs_option
+
+if TYPE_CHECKING:
+    from rig.estimate.conclusion import Candidate, Conclusion
+    from rig.estimate.misfit import Comparison, Condition, Group
+    from rig.model_file import Model, Step
+    from rig.repair import Bench, Repaired
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
+EFFECT = click.argument("effect", metavar="EFFECT")
+MODEL = click.option(
+    "--model", type=click.Path(dir_okay=False, path_type=Path), help="Model file [default: models/<serial>.yaml]."
+)
+START = click.option(
+    "--start",
+    type=click.Choice(("datasheet", "paper")),
+    help="Where a new model starts: the data sheet's, or the paper's without output filter [default: datasheet].",
+)
+EFFECTS = click.option(
+    "--effects",
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="RIG_EFFECTS",
+    help="Folder with effects of your own, one file each (or RIG_EFFECTS).",
+)
+ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
+
+
+def model_options(command: F) -> F:
+    """Everything that says which model is meant, and where the runs are."""
+    options = (MODEL, START, EFFECTS, runs_option, json_option)
+    return functools.reduce(lambda made, option: option(made), reversed(options), command)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Runs and model that a command works on: `path` is the model's file, whether or not it is there yet."""
+
+    bench: Bench
+    model: Model
+    path: Path
+    names: tuple[str, ...]
+    runs: Path
+
+    @property
+    def words(self) -> str:
+        """The runs as they were asked for, for the next command."""
+        return " ".join(self.names)
+
+    @property
+    def figures(self) -> Path:
+        """Folder for figures of these runs."""
+        return self.runs / "reports" / self.bench.evidence.runs[0]
+
+
+def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, effects: Path | None) -> Opened:
+    """Runs and model by the options that the commands share. Raises BadInput."""
+    from rig.model_file import path_of
+    from rig.notebook import records_of
+    from rig.repair import bench_of, model_at
+    from rig.shelf import shelf
+
+    bench = bench_of(records_of(names, runs), shelf(effects))
+    path = model or path_of(runs, bench.evidence.serial)
+    return Opened(bench, model_at(path, bench, start), path, tuple(names), runs)
+
+
+@click.command(short_help="Error against noise, and where a model fails.")
+@RUN_NAMES
+@model_options
+def compare(
+    names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
+) -> None:
+    """Fit the model to runs and compare its error with the noise measured independently; 1 is noise and nothing else.
+
+    RUN is a run's name, `last`, or `all` for every completed run in the folder. Without a model file the data sheet's
+    model is compared. Figures go to reports/<first run>/ under the runs folder.
+    """
+    from rig.misfit_figures import draw
+
+    work = opened(names, runs, model, start, effects)
+    found = _compared(work, work.model)
+    figures = draw(work.bench.evidence, found.fit, work.figures)
+    if as_json:
+        print_json(found.as_json(figures))
+        return
+    click.echo("\n".join([_title("compare", work), *groups_text(found.groups), *worst_text(found.worst)]))
+    for path in figures:
+        click.echo(f"figure: {path}")
+    click.echo(f"next: rig diagnose {work.words}")
+
+
+def _compared(work: Opened, model: Model) -> Comparison:
+    from rig.estimate.misfit import compare as compared
+    from rig.model_file import terms_of
+
+    return compared(work.bench.evidence, terms_of(model, work.bench.shelf), model.poles)
+
+
+def _title(what: str, work: Opened) -> str:
+    evidence, model = work.bench.evidence, work.model
+    with_what = ", ".join(entry.effect for entry in model.effects) or "no effect"
+    mark = "  SIMULATED" if evidence.simulated else ""
+    return f"{what}: {evidence.serial}, {model.start} model with {with_what}, {', '.join(evidence.runs)}{mark}"
+
+
+def groups_text(groups: Iterable[Group]) -> list[str]:
+    """The table of errors by group of rows, SI."""
+    rows = list(groups)
+    width = max((len(one.name) for one in rows), default=0)
+    lines = [f"  {'':<{width}}  {'error':>9}  {'noise':>9}  {'ratio':>7}  {'held out':>8}"]
+    for one in rows:
+        lines.append(
+            f"  {one.name:<{width}}  {one.error:>9.3g}  {one.noise:>9.3g}  {one.ratio:>7.3g}  {one.heldout_ratio:>8.3g}"
+        )
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def worst_text(worst: Iterable[Condition]) -> list[str]:
+    """The worst conditions in words, those that noise hardly makes."""
+    rows = [f"  {one.in_words} ({one.ratio:.3g} times the noise)" for one in worst if one.stands_out]
+    return ["worst:", *rows] if rows else ["nothing stands out of the noise"]
+
+
+@click.command(short_help="Fit a model to runs and keep it in its file.")
+@RUN_NAMES
+@model_options
+def fit(
+    names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
+) -> None:
+    """Fit the model to runs, or start one, and write it with values, uncertainties, covariance and history."""
+    from rig.repair import fitted
+
+    work = opened(names, runs, model, start, effects)
+    _conclude(work, fitted(work.bench, work.model), as_json, f"rig diagnose {work.words}")
+
+
+@click.command(short_help="Which effect is missing in a model.")
+@RUN_NAMES
+@model_options
+def diagnose(
+    names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
+) -> None:
+    """Find the physical effects that the model lacks, with reasons, probabilities, and what would tell them apart.
+
+    Several are found one after another. If nothing on the shelf brings the error to the noise, the answer is
+    `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
+    """
+    from rig.estimate.conclusion import conclude
+    from rig.model_file import terms_of
+
+    work = opened(names, runs, model, start, effects)
+    shelf = work.bench.shelf
+    said = conclude(work.bench.evidence, terms_of(work.model, shelf), shelf, poles=work.model.poles)
+    if as_json:
+        print_json(diagnosis_as_json(said, _compared(work, work.model).as_json([])["groups"]))
+        return
+    click.echo("\n".join([_title("diagnose", work), *diagnosis_text(said)]))
+    click.echo(f"next: {_next_after(said, work)}")
+
+
+def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]:
+    """What `rig diagnose --json` prints."""
+    return {
+        "verdict": said.verdict,
+        "groups": list(groups),
+        "candidates": [one.as_json() for one in said.candidates],
+        "description": said.description,
+        "cannot_see": list(said.cannot_see),
+    }
+
+
+def diagnosis_text(said: Conclusion) -> list[str]:
+    """A diagnosis as a person reads it."""
+    lines = [verdict_text(said)]
+    for step in range(1, len(said.taken) + 1):
+        here = [one for one in said.candidates if one.step == step]
+        lines += ["", *candidate_text(here[0], said.verdict == "unlisted")]
+        lines += [f"  not excluded by this data: {_other_text(one)}" for one in here[1:]]
+    if said.description:
+        lines += ["", f"  {said.description}"]
+    lines += ["", "this data cannot see:", *(f"  {one}" for one in said.cannot_see)] if said.cannot_see else []
+    return lines
+
+
+def verdict_text(said: Conclusion) -> str:
+    """The verdict in one line."""
+    errors = f"error {said.error:.4g} times the noise"
+    names = " and ".join(one.effect for one in said.taken)
+    there = f"where it is worst ({said.worst_at}) {said.worst:.3g}"
+    match said.verdict:
+        case "adequate":
+            return f"verdict: adequate - the model leaves nothing but noise ({errors})"
+        case "missing":
+            return (
+                f"verdict: missing {names} - {errors}, {there}; with it {said.after:.4g}, there {said.worst_after:.3g}"
+            )
+        case "unlisted":
+            return f"verdict: unlisted effect - {errors}, {there}; with the best of the shelf {said.after:.4g}"
+        case _:
+            return f"verdict: {said.verdict} - {errors}, {there}"
+
+
+def candidate_text(one: Candidate, nearest: bool) -> list[str]:
+    """One missing effect with all that speaks for it."""
+    on = f" of the {one.on} channels" if one.on else ""
+    head = f"{'nearest' if nearest else one.step}: {one.effect} ({one.title}{on}), probability {one.probability:.3g}"
+    lines = [f"  {head}"]
+    lines += [f"     {name} = {value.text}" for name, value in one.parameters.items()]
+    size = "usual" if one.plausible else "NOT usual: look for another cause too"
+    lines.append(f"     its size is {size}; U is expanded (k = 2)")
+    lines.append(f"     error with it {one.error_after:.4g}, on held-out data {one.heldout_error_after:.4g} (noise 1)")
+    lines.append(f"     because {one.because}")
+    if len(one.members) > 1:
+        lines.append(f"     class: {', '.join(one.members)}")
+    lines.append(f"     to be sure: {one.separate_by}")
+    return lines
+
+
+def _other_text(one: Candidate) -> str:
+    values = ", ".join(f"{name} = {value.text}" for name, value in one.parameters.items())
+    size = "" if one.plausible else ", not a usual size"
+    return f"{one.effect} ({values}{size}), error {one.error_after:.4g}, probability {one.probability:.2g}"
+
+
+def _next_after(said: Conclusion, work: Opened) -> str:
+    if said.verdict == "missing":
+        first = said.taken[0]
+        effect = work.bench.shelf.get(first.effect)
+        on = f" --on {first.on}" if effect is not None and len(effect.quantities) > 1 else ""
+        return f"rig add {first.effect} {work.words}{on}"
+    if said.verdict == "adequate":
+        return f"rig fit {work.words}, rig history {work.words}"
+    return f"rig compare {work.words}"
+
+
+@click.command(short_help="Add an effect to a model and refit.")
+@EFFECT
+@RUN_NAMES
+@ON
+@click.option("--formula", metavar="TEXT", help="A term of your own, e.g. 'k * omega**2'; EFFECT is its name then.")
+@model_options
+def add(
+    effect: str, names: tuple[str, ...], on: Any, formula: str | None, model: Path | None, start: str | None,
+    effects: Path | None, runs: Path, as_json: bool,
+) -> None:  # fmt: skip
+    """Add EFFECT to the model, refit everything, and write the model with one more step of history.
+
+    Prints the errors before and after, on fitted and on held-out data.
+    """
+    from rig.repair import added
+
+    work = opened(names, runs, model, start, effects)
+    _conclude(work, added(work.bench, work.model, effect, on, formula), as_json, f"rig diagnose {work.words}")
+
+
+@click.command(short_help="Take an effect out of a model and refit.")
+@EFFECT
+@RUN_NAMES
+@ON
+@model_options
+def remove(
+    effect: str, names: tuple[str, ...], on: Any, model: Path | None, start: str | None, effects: Path | None,
+    runs: Path, as_json: bool,
+) -> None:  # fmt: skip
+    """Take EFFECT out of the model, refit, and write the model with one more step of history."""
+    from rig.repair import removed
+
+    work = opened(names, runs, model, start, effects)
+    _conclude(work, removed(work.bench, work.model, effect, on), as_json, f"rig diagnose {work.words}")
+
+
+def _conclude(work: Opened, made: Repaired, as_json: bool, then: str) -> None:
+    """Keep the model and say what became of it."""
+    from rig.model_file import save
+
+    save(work.path, made.model)
+    if as_json:
+        print_json(repaired_as_json(work.path, made))
+        return
+    click.echo("\n".join(repaired_text(made)))
+    click.echo(f"model: {work.path}")
+    click.echo(f"next: {then}, rig history {work.words}")
+
+
+def repaired_as_json(path: Path, made: Repaired) -> dict[str, Any]:
+    """A step of repair: the model's effects, and errors before and after (noise = 1)."""
+    model = made.model.model_dump(mode="json", exclude_none=True)
+    return {
+        "model": str(path),
+        "unit": made.model.unit,
+        "simulated": made.model.simulated,
+        "runs": list(made.model.runs),
+        "effects": model["effects"],
+        "before": made.before.model_dump(mode="json"),
+        "after": made.after.model_dump(mode="json"),
+        "remarks": list(made.remarks),
+    }
+
+
+def repaired_text(made: Repaired) -> list[str]:
+    """The effects of a model after a step, and its errors before and after."""
+    from rig.estimate.parameters import Estimate
+
+    mark = "  SIMULATED" if made.model.simulated else ""
+    done = " ".join(part for part in (made.after.action, made.after.effect) if part)
+    lines = [f"{done}: {made.model.unit}, {made.model.start} model{mark}"]
+    for entry in made.model.effects:
+        values = ", ".join(f"{n} = {Estimate(v.value, v.unit, v.u).text}" for n, v in entry.parameters.items())
+        lines.append(f"  {entry.effect}{f' ({entry.on})' if entry.on else ''}: {values}")
+    lines += [f"  note: {remark}" for remark in made.remarks]
+    return [*lines, *_errors_text(made)]
+
+
+def _errors_text(made: Repaired) -> list[str]:
+    """Errors before and after a step, over everything and where they were worst."""
+    from rig.estimate.quality import error_at
+
+    before, after = made.before, made.after
+    if before is after:
+        return [f"  error {after.error:.4g} times the noise, on held-out data {_number(after.heldout)}"]
+    lines = [
+        f"  error {before.error:.4g} -> {after.error:.4g} times the noise, "
+        f"on held-out data {_number(before.heldout)} -> {_number(after.heldout)}"
+    ]
+    place = before.worst_at if after.action != "remove" else after.worst_at
+    if place and before.worst is not None and after.action != "remove":
+        lines.append(f"  where it was worst ({place}): {before.worst:.3g} -> {error_at(made.fit, place):.3g}")
+    elif place:
+        lines.append(f"  where it is worst now ({place}): {_number(after.worst)}")
+    return lines
+
+
+@click.command(short_help="The ladder of a model's repair, as table and figure.")
+@click.argument("names", metavar="RUN...", nargs=-1)
+@MODEL
+@runs_option
+@json_option
+def history(names: tuple[str, ...], model: Path | None, runs: Path, as_json: bool) -> None:
+    """Every step of the model's repair with its error on fitted and held-out data against the noise floor.
+
+    RUN says whose unit's model is meant [default: last]; with --model it is not needed.
+    """
+    from rig.ladder_figure import draw
+    from rig.model_file import load
+
+    path = model or _model_of(names or ("last",), runs)
+    found = load(path)
+    figures = draw(found, runs / "reports" / path.stem)
+    if as_json:
+        steps = [step.model_dump(mode="json") for step in found.history]
+        print_json({"model": str(path), "unit": found.unit, "simulated": found.simulated, "history": steps,
+                    "figures": [str(one) for one in figures]})  # fmt: skip
+        return
+    mark = "  SIMULATED" if found.simulated else ""
+    click.echo("\n".join([f"history of {found.unit}, {path}{mark}", *history_text(found.history)]))
+    for one in figures:
+        click.echo(f"figure: {one}")
+    words = " ".join(names) or "last"
+    click.echo(f"next: rig diagnose {words}")
+
+
+def _model_of(names: Sequence[str], runs: Path) -> Path:
+    """The model file of the unit that a run measured."""
+    from rig.model_file import path_of
+    from rig.notebook import records_of
+
+    return path_of(runs, str(records_of(names, runs)[0].header["sensor"]["serial"]))
+
+
+def history_text(steps: Sequence[Step]) -> list[str]:
+    """The ladder as a table; the noise floor is 1. `worst` is the error of the channel and domain furthest above it."""
+    names = [" ".join(p for p in (s.action, s.effect, f"({s.on})" if s.on else None) if p) for s in steps]
+    width = max((len(name) for name in names), default=0)
+    heads = ("error", "held out", "worst", "noise", "χ²/dof")
+    lines = [f"  {'':>2}  {'':<{width}}  {'  '.join(f'{head:>8}' for head in heads)}  runs"]
+    for number, (step, name) in enumerate(zip(steps, names, strict=True), 1):
+        values = (step.error, step.heldout, step.worst, step.noise, step.chi2_dof)
+        table = "  ".join(f"{_number(value):>8}" for value in values)
+        lines.append(f"  {number:>2}  {name:<{width}}  {table}  {len(step.runs)}")
+    return lines

@@ -1,0 +1,252 @@
+"""Scores of the blind test: every table of the study from its answers and results, with binomial intervals.
+
+Intervals are Clopper and Pearson's (1934), 95 %. A world whose diagnosis failed counts as wrong everywhere.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import statistics
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from blind_trials import holds
+from blind_worlds import Answer, unsealed
+
+BINS = (6.0, 10.0, 30.0, 100.0, 600.0)
+LARGEST_CLASS = 3
+SURE = 0.9
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A world with what was hidden and what was said."""
+
+    answer: Answer
+    result: Mapping[str, Any]
+
+    @property
+    def table(self) -> str:
+        return self.answer.table
+
+    @property
+    def exact(self) -> bool:
+        """Exactly the hidden effect and nothing else."""
+        return self.result["verdict"] == "missing" and sorted(self.result["named"]) == sorted(self.answer.names)
+
+    @property
+    def in_first_class(self) -> bool:
+        """The first class holds a hidden effect and has at most three members."""
+        steps = self.result["steps"]
+        members = steps[0]["members"] if steps else []
+        return len(members) <= LARGEST_CLASS and bool(set(members) & set(self.answer.names))
+
+    @property
+    def all_in_classes(self) -> bool:
+        """Every hidden effect is in a named class, and no class is without one."""
+        classes = [set(step["members"]) for step in self.result["steps"]]
+        hidden = set(self.answer.names)
+        held = set[str]().union(*classes) if classes else set[str]()
+        return self.result["verdict"] == "missing" and hidden <= held and all(one & hidden for one in classes)
+
+    @property
+    def leaves_more(self) -> bool:
+        """What is named leaves more of the held-out χ² than one standard deviation above the noise."""
+        kept = self.result.get("held_out")
+        return kept is None or kept["chi2"] - kept["true"] > kept["sigma"]
+
+    @property
+    def sure(self) -> bool:
+        """Some name has a probability of at least 0.9."""
+        return any(step["probability"] >= SURE for step in self.result["steps"])
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a share of worlds, or a figure, against its bar."""
+
+    what: str
+    found: str
+    bar: str
+    worlds: int
+
+
+def share(good: int, of: int) -> str:
+    """A share with its interval in percent."""
+    if not of:
+        return "no worlds"
+    from scipy.stats import binomtest
+
+    low, high = binomtest(good, of).proportion_ci(CONFIDENCE, "exact")
+    return f"{good}/{of} = {100 * good / of:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
+
+
+def trials(folder: Path) -> list[Trial]:
+    """All results with their answers. Raises ValueError if an answer is not the one that was sealed."""
+    found = []
+    for path in sorted((folder / "results").glob("*.json")):
+        result = json.loads(path.read_text(encoding="utf-8"))
+        answer, digest = unsealed(folder / "answers" / path.name)
+        if digest != result["sealed"]:
+            raise ValueError(f"{path.name}: found another answer than the one sealed before the diagnosis")
+        found.append(Trial(answer, result))
+    return found
+
+
+def rows(found: Sequence[Trial]) -> list[Row]:
+    """The main table."""
+    of = defaultdict(list)
+    for one in found:
+        of[one.table].append(one)
+    makers: dict[str, Callable[[list[Trial]], Iterator[Row]]] = {
+        "clean": _clean, "ripple": _ripple, "one": _one, "two": _two, "unshelved": _unshelved,
+        "strangers": _strangers,
+    }  # fmt: skip
+    made = [row for table, maker in makers.items() if of[table] for row in maker(of[table])]
+    return [*made, *_times(found)]
+
+
+def _row(what: str, chosen: Iterable[Trial], good: Callable[[Trial], bool], bar: str) -> Row:
+    chosen = list(chosen)
+    return Row(what, share(sum(map(good, chosen)), len(chosen)), bar, len(chosen))
+
+
+def _clean(found: list[Trial]) -> Iterator[Row]:
+    yield _row("clean: an effect named", found, lambda one: bool(one.result["named"]), "≤ 1 %")
+    yield _row("clean: said not to be adequate", found, lambda one: one.result["verdict"] != "adequate", "")
+
+
+def _ripple(found: list[Trial]) -> Iterator[Row]:
+    what = "clean with 0.1 % ripple, floor measured: an effect named"
+    yield _row(what, found, lambda one: bool(one.result["named"]), "≤ 3 %")
+    yield _row("… said not to be adequate", found, lambda one: one.result["verdict"] != "adequate", "")
+
+
+def _one(found: list[Trial]) -> Iterator[Row]:
+    strong = [one for one in found if one.answer.d_prime >= 10.0]
+    yield _row("one effect, d′ ≥ 10: in a first class of ≤ 3", strong, lambda one: one.in_first_class, "≥ 95 %")
+    for bench, bar in (("shaker", "≥ 81 %"), ("turntable", "≥ 92 %")):
+        here = [one for one in found if one.answer.bench == bench]
+        yield _row(f"exactly that effect and nothing else, {bench}", here, lambda one: one.exact, bar)
+        for place, (low, high) in enumerate(itertools.pairwise(BINS)):
+            inside = [one for one in here if bisect_right(BINS[1:-1], one.answer.d_prime) == place]
+            yield _row(f"… d′ {low:g} to {high:g}", inside, lambda one: one.exact, "")
+    yield from _fresh(found)
+    yield from _intervals(found)
+
+
+def _fresh(found: Sequence[Trial]) -> Iterator[Row]:
+    ratios = sorted(
+        one.result["fresh"]["chi2"] / one.result["fresh"]["freedom"] for one in found if "fresh" in one.result
+    )
+    if ratios:
+        ninety = ratios[min(math.ceil(0.9 * len(ratios)), len(ratios)) - 1]
+        said = f"median {statistics.median(ratios):.3f}, 90 % below {ninety:.3f}, largest {ratios[-1]:.3g}"
+        yield Row("χ² per degree of freedom on a fresh run", said, "≤ 1.03, ≤ 1.10 in 90 %", len(ratios))
+
+
+def _intervals(found: Sequence[Trial]) -> Iterator[Row]:
+    from scipy.stats import binom
+
+    for least, what in ((0.0, "truth inside the 95 % interval"), (30.0, "… d′ ≥ 30")):
+        strong = [one for one in found if one.answer.d_prime >= least]
+        checked = [one.result["interval"] for one in strong if "interval" in one.result]
+        if checked:
+            low, high = binom.interval(0.99, len(checked), 0.95)
+            bar = f"{low:.0f} to {high:.0f} of {len(checked)} (99 % band of 95 %)"
+            yield Row(what, share(sum(map(holds, checked)), len(checked)), bar, len(checked))
+
+
+def _two(found: list[Trial]) -> Iterator[Row]:
+    yield _row("two effects: both in the named classes, no third", found, lambda one: one.all_in_classes, "≥ 90 %")
+    yield _row("… both exactly", found, lambda one: one.exact, "")
+    for least in (10.0, 30.0):
+        strong = [one for one in found if one.answer.d_prime >= least]
+        yield _row(f"… in the classes, both d′ ≥ {least:g}", strong, lambda one: one.all_in_classes, "")
+
+
+def _unshelved(found: list[Trial]) -> Iterator[Row]:
+    strong = [one for one in found if one.answer.d_prime >= 50.0]
+    what = "effect off the shelf, d′ ≥ 50: unlisted, or only what leaves the noise"
+
+    def fair(one: Trial) -> bool:
+        return bool(one.result["verdict"] == "unlisted") or not one.leaves_more
+
+    yield _row(what, strong, fair, "≥ 90 %")
+    yield _row("… all strengths", found, fair, "")
+    yield _row("… verdict unlisted, d′ ≥ 50", strong, lambda one: one.result["verdict"] == "unlisted", "")
+    wrong = "… probability ≥ 0.9 for a wrong name that leaves more"
+    yield _row(wrong, found, lambda one: one.sure and one.leaves_more and one.result["verdict"] == "missing", "≤ 5 %")
+    yield _row(
+        "… the nearest effects of an unlisted one among them", found, lambda one: one.sure and one.leaves_more, ""
+    )
+
+
+def _strangers(found: list[Trial]) -> Iterator[Row]:
+    def unlisted(one: Trial) -> bool:
+        return bool(one.result["verdict"] == "unlisted")
+
+    yield _row("strangers, d′ ≥ 20: unlisted", found, unlisted, "≥ 95 %")
+    for name in dict.fromkeys((one.answer.names[0], one.answer.bench) for one in found):
+        here = [one for one in found if (one.answer.names[0], one.answer.bench) == name]
+        yield _row(f"… {name[0]}, {name[1]}", here, unlisted, "")
+
+
+def _times(found: Sequence[Trial]) -> Iterator[Row]:
+    for bench in ("shaker", "turntable"):
+        seconds = [one.result["seconds"] for one in found if one.answer.bench == bench and "seconds" in one.result]
+        if seconds:
+            said = f"median {statistics.median(seconds):.2f} s, largest {max(seconds):.2f} s"
+            yield Row(f"diagnosis after loading, {bench}", said, "≤ 1 s", len(seconds))
+    failed = [one for one in found if one.result["verdict"] == "failed"]
+    if failed:
+        yield Row("diagnosis failed with an error", share(len(failed), len(found)), "0", len(found))
+
+
+def by_effect(found: Sequence[Trial]) -> list[tuple[str, str, str, str, str]]:
+    """For every effect: bench, name, exact, in the first class, and what was said instead."""
+    made = []
+    of: dict[tuple[str, str], list[Trial]] = defaultdict(list)
+    for one in found:
+        if one.table == "one":
+            of[one.answer.bench, one.answer.names[0]].append(one)
+    for (bench, name), here in of.items():
+        instead: dict[str, int] = defaultdict(int)
+        for one in here:
+            if not one.exact:
+                instead[f"{one.result['verdict']}: {' + '.join(one.result['named']) or 'nothing'}"] += 1
+        said = "; ".join(f"{count} × {what}" for what, count in sorted(instead.items(), key=lambda kv: -kv[1])[:3])
+        exact, held = (sum(flags) for flags in zip(*((t.exact, t.in_first_class) for t in here), strict=True))
+        made.append((bench, name, f"{exact}/{len(here)}", f"{held}/{len(here)}", said))
+    return made
+
+
+def markdown(found: Sequence[Trial], peers: Sequence[tuple[str, ...]] = ()) -> str:
+    """All tables as a page."""
+    lines = [
+        "# Blind test",
+        "",
+        "Worlds come from the simulated bench, clean but for what is hidden; answers are sealed before the records",
+        "are diagnosed. Intervals are Clopper and Pearson's, 95 %. On a fresh run only each channel's zero",
+        "was adjusted, and what counts from a run's own beginning (the phase of the mains, the rest of a warm-up).",
+        "Held-out χ² is compared with what the true effect leaves in the same rows; one sigma is √(2·rows).",
+        "",
+        *_table(("what", "found", "bar"), [(row.what, row.found, row.bar) for row in rows(found)]),
+    ]
+    if effects := by_effect(found):
+        lines += ["", "## By effect", "", *_table(("bench", "effect", "exact", "in the class", "instead"), effects)]
+    if peers:
+        lines += ["", "## Against other methods", "", *_table(peers[0], peers[1:])]
+    return "\n".join(lines) + "\n"
+
+
+def _table(head: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
+    made = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    return made + [f"| {' | '.join(row)} |" for row in body]

@@ -1,0 +1,218 @@
+"""Worlds of the blind test: which there are, what is drawn to be hidden in each, and the runs made in it.
+
+Everything follows from a case's identity, so a study that was interrupted goes on with the same worlds. What is hidden
+is written to a file of its own before anything is diagnosed; its digest goes with the result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import blind_strangers
+import fast_bench
+import numpy as np
+
+from fixtures import strength
+from fixtures.draws import stream
+from fixtures.imperfections import Imperfection
+from fixtures.physics import Physics
+from fixtures.shelf import SHELF
+from fixtures.world import World
+
+MAINS = 50.0
+BENCHES = ("shaker", "turntable")
+DOCUMENTS: Mapping[str, Mapping[str, Any]] = {
+    "shaker": {"procedure": "frequency_sweep", "axis": "x"},
+    "turntable": {"procedure": "turntable", "all": True},
+}
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "shaker": (
+        "cross_axis", "quadratic", "cubic", "first_order_lag", "resonance", "butterworth_filter", "delay", "rocking",
+        "mains_hum", "saturation", "temperature_scale", "supply_ratio", "dead_zone", "hysteresis", "ldv_dropout",
+    ),
+    "turntable": (
+        "asymmetry", "quadratic", "cubic", "g_sensitivity", "lever_arm", "platen_tilt", "encoder_eccentricity",
+        "first_order_lag", "warm_up", "temperature_scale", "supply_ratio", "motor_pickup", "missed_counts",
+    ),
+}  # fmt: skip
+TABLES = ("clean", "ripple", "one", "two", "unshelved", "strangers")
+WEAKEST, STRONGEST = strength.WEAKEST, strength.STRONGEST
+LEAST_STRANGE, LEAST_EASY = 20.0, 30.0
+RIPPLE = {"relative": 1e-3}
+REMOUNTS = Path(__file__).parents[1] / "procedures" / "remounts.yaml"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One world to come: its table, its bench, the names hidden, and its number among such worlds.
+
+    `series` is drawn from afresh when worlds that the program was tuned on must not be used again.
+    """
+
+    table: str
+    bench: str
+    names: tuple[str, ...]
+    number: int
+    series: str = "1"
+    weakest: float = WEAKEST
+
+    @property
+    def id(self) -> str:
+        return f"{self.series}-{self.table}-{self.bench}-{'+'.join(self.names) or 'nothing'}-{self.number:03d}"
+
+    @property
+    def seed(self) -> int:
+        return zlib.crc32(self.id.encode()) >> 1
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is hidden in a world: entries with `name`, `parameters` (SI) and the strength `d_prime` that was reached."""
+
+    id: str
+    table: str
+    bench: str
+    seed: int
+    hidden: list[dict[str, Any]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(str(one["name"]) for one in self.hidden)
+
+    @property
+    def d_prime(self) -> float:
+        """Of the weakest; infinite for a clean world."""
+        return min((float(one["d_prime"]) for one in self.hidden), default=math.inf)
+
+
+def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> list[Case]:
+    """All worlds of a study, with `worlds` for each effect by name and the other tables in proportion (at 30: 300
+    clean, 100 with ripple, 200 with two effects, 10 for each effect off the shelf and for each stranger).
+    """
+    third = max(round(worlds / 3), 1)
+    made: dict[str, Iterator[Case]] = {
+        "clean": (Case("clean", bench, (), n, series) for bench in BENCHES for n in range(5 * worlds)),
+        "ripple": (Case("ripple", "shaker", (), n, series) for n in range(round(worlds * 10 / 3))),
+        "one": _each("one", worlds, series),
+        "two": _pairs(round(worlds * 20 / 3), series),
+        "unshelved": _each("unshelved", third, series),
+        "strangers": (
+            Case("strangers", bench, (kind.name,), n, series, LEAST_STRANGE)
+            for bench, kinds in blind_strangers.KINDS.items() for kind in kinds for n in range(third)
+        ),
+    }  # fmt: skip
+    return [case for table in tables for case in made[table]]
+
+
+def _each(table: str, count: int, series: str) -> Iterator[Case]:
+    for bench in BENCHES:
+        for name in NAMES[bench]:
+            for number in range(count):
+                yield Case(table, bench, (name,), number, series)
+
+
+def _pairs(count: int, series: str) -> Iterator[Case]:
+    for number in range(count):
+        bench = BENCHES[number % 2]
+        chosen = stream(number, "pair", series).choice(len(NAMES[bench]), 2, replace=False)
+        yield Case("two", bench, tuple(NAMES[bench][k] for k in chosen.tolist()), number, series)
+
+
+def slice_of_all() -> list[Case]:
+    """Thirty worlds that the test suite looks at: clean ones, and effects that are easily strong enough to be named.
+
+    Most are of the shaker, whose runs take less time to simulate.
+    """
+    clean = [Case("clean", "shaker", (), n, "slice") for n in range(5)] + [Case("clean", "turntable", (), 0, "slice")]
+    names = [("shaker", name, 0) for name in NAMES["shaker"]]
+    names += [("shaker", name, 1) for name in NAMES["shaker"][:5]]
+    names += [("turntable", name, 0) for name in ("asymmetry", "encoder_eccentricity", "platen_tilt", "warm_up")]
+    return clean + [Case("one", bench, (name,), n, "slice", LEAST_EASY) for bench, name, n in names]
+
+
+def drawn(case: Case) -> Answer:
+    """What is hidden in a case's world: parameters of usual size, sized to a strength log-uniform in its range."""
+    random = stream(case.seed, "blind")
+    hidden = []
+    measure = strength.meter(case.seed, MAINS, case.bench) if case.names else None
+    for name in case.names:
+        assert measure is not None
+        wanted = math.exp(float(random.uniform(math.log(case.weakest), math.log(STRONGEST))))
+        if case.table == "strangers":
+            kind = blind_strangers.kind_of(name)
+            parameters = blind_strangers.sized(kind, kind.drawn(random, case.bench), wanted, measure)
+        else:
+            kind = SHELF.kind(name)
+            parameters = strength.sized(name, kind.drawn(random, case.bench), wanted, measure)
+        reached = measure.strength((kind(**parameters),))
+        hidden.append({"name": name, "parameters": parameters, "d_prime": reached})
+    return Answer(case.id, case.table, case.bench, case.seed, hidden)
+
+
+def world_of(answer: Answer) -> World:
+    """The world with this in it, just begun."""
+    extra: list[Imperfection] = []
+    if answer.table == "ripple":
+        extra.append(blind_strangers.Ripple(**RIPPLE))
+    if answer.table == "strangers":
+        extra += [blind_strangers.kind_of(str(one["name"]))(**one["parameters"]) for one in answer.hidden]
+        return with_more(fast_bench.world(answer.seed), extra)
+    entries = [{"name": one["name"], "parameters": one["parameters"]} for one in answer.hidden]
+    return with_more(fast_bench.world(answer.seed, entries), extra)
+
+
+def with_more(world: World, extra: Sequence[Imperfection]) -> World:
+    """The same world with imperfections of no shelf as well; it must not have been used yet."""
+    if extra:
+        world.imperfections = (*world.imperfections, *extra)
+        world.physics = Physics(world.seed, world.mains, world.imperfections)
+    return world
+
+
+def measured(world: World, bench: str) -> fast_bench.MemoryRecords:
+    """The standard run of a bench; the world goes on, so the next one is another."""
+    return fast_bench.measure(DOCUMENTS[bench], world)
+
+
+def remounted(world: World) -> fast_bench.MemoryRecords:
+    """The run of remounts from which the bench's own floor is measured."""
+    return fast_bench.measure(REMOUNTS.read_text(encoding="utf-8"), world)
+
+
+def first_record(records: fast_bench.MemoryRecords, world: World) -> float:
+    """When the first record of a run began, s since the world's start."""
+    return min(float(meta["start"]) for meta in records.metas.values() if "convert_period" in meta) - world.epoch
+
+
+def write(path: Path, body: Mapping[str, Any]) -> str:
+    """Write JSON as a whole or not at all; gives the digest of what was written."""
+    text = json.dumps(body, indent=1, sort_keys=True, default=_plain)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def seal(answer: Answer, folder: Path) -> str:
+    """Put an answer away; gives its digest."""
+    return write(folder / "answers" / f"{answer.id}.json", asdict(answer))
+
+
+def unsealed(path: Path) -> tuple[Answer, str]:
+    """An answer and its digest."""
+    text = path.read_text(encoding="utf-8")
+    return Answer(**json.loads(text)), hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"found {type(value).__name__}, wanted a number or a text")

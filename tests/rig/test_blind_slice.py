@@ -1,0 +1,110 @@
+"""A slice of the blind test: thirty worlds whose answers were drawn once, diagnosed from their records alone.
+
+The whole of it is `make blind`. Thresholds are such that a diagnosis that is broken anywhere misses them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import blind_scores
+import blind_strangers
+import blind_trials
+import blind_worlds
+import numpy as np
+import pytest
+from blind_scores import Trial
+from blind_worlds import Answer
+
+from fixtures import strength
+from rig.estimate.diagnose import diagnose
+from rig.estimate.evidence import evidence_of
+
+ANSWERS = Path(__file__).with_name("blind_slice.json")
+EXACT = 20  # of 24 hidden effects
+ENTRY = {"name": "cubic", "parameters": {"coefficient": 1e-5, "quantity": "acceleration"}, "d_prime": 60.0}
+ANSWER = Answer("one", "one", "shaker", 7, [ENTRY])
+
+
+def _step(name: str, *others: str, probability: float = 1.0) -> dict[str, Any]:
+    return {"name": name, "members": [name, *others], "probability": probability}
+
+
+def _trial(*steps: dict[str, Any], verdict: str = "missing", answer: Answer = ANSWER) -> Trial:
+    return Trial(answer, {"verdict": verdict, "named": [step["name"] for step in steps], "steps": list(steps)})
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_of_thirty_blind_worlds_nearly_every_hidden_effect_is_named_and_no_clean_world_is_blamed() -> None:
+    answers = [Answer(**one) for one in json.loads(ANSWERS.read_text(encoding="utf-8"))["answers"]]
+    assert len(answers) == 30
+    trials = [_diagnosed(answer) for answer in answers]
+    wrong = [
+        f"{one.answer.bench} {'+'.join(one.answer.names) or 'clean'} (d′ {one.answer.d_prime:.0f}): "
+        f"{one.result['verdict']} {one.result['named']}"
+        for one in trials
+        if (not one.exact if one.answer.hidden else one.result["named"])
+    ]
+    assert not [one for one in trials if not one.answer.hidden and one.result["named"]], wrong
+    assert sum(one.exact for one in trials if one.answer.hidden) >= EXACT, wrong
+
+
+def _diagnosed(answer: Answer) -> Trial:
+    world = blind_worlds.world_of(answer)
+    return Trial(answer, blind_trials.said(diagnose(evidence_of([blind_worlds.measured(world, answer.bench)]))))
+
+
+def test_only_the_hidden_effect_alone_scores_as_exact() -> None:
+    assert _trial(_step("cubic")).exact
+    assert not _trial(_step("quadratic")).exact
+    assert not _trial(_step("cubic"), _step("delay")).exact
+    assert not _trial(_step("cubic"), verdict="unlisted").exact
+    assert not _trial().exact
+
+
+def test_a_first_class_of_more_than_three_members_says_nothing() -> None:
+    assert _trial(_step("saturation", "cubic", "dead_zone")).in_first_class
+    assert not _trial(_step("saturation", "cubic", "dead_zone", "hysteresis")).in_first_class
+    assert not _trial(_step("saturation", "dead_zone")).in_first_class
+
+
+def test_two_effects_score_only_if_each_has_its_class_and_no_class_is_left_over() -> None:
+    two = replace(ANSWER, hidden=[ENTRY, {**ENTRY, "name": "delay"}])
+    assert _trial(_step("cubic"), _step("first_order_lag", "delay"), answer=two).all_in_classes
+    assert not _trial(_step("cubic"), answer=two).all_in_classes
+    assert not _trial(_step("cubic"), _step("delay"), _step("rocking"), answer=two).all_in_classes
+
+
+def test_an_answer_that_was_changed_after_the_diagnosis_is_refused(tmp_path: Path) -> None:
+    sealed = blind_worlds.seal(ANSWER, tmp_path)
+    result = {"sealed": sealed, "verdict": "missing", "named": ["delay"], "steps": [_step("delay")]}
+    blind_worlds.write(tmp_path / "results" / "one.json", result)
+    assert not blind_scores.trials(tmp_path)[0].exact
+    changed = asdict(replace(ANSWER, hidden=[{**ENTRY, "name": "delay"}]))
+    blind_worlds.write(tmp_path / "answers" / "one.json", changed)
+    with pytest.raises(ValueError, match="another answer than the one sealed"):
+        blind_scores.trials(tmp_path)
+
+
+def test_a_whole_study_has_the_worlds_that_its_tables_promise_and_each_only_once() -> None:
+    cases = blind_worlds.cases(30)
+    count = {table: sum(case.table == table for case in cases) for table in blind_worlds.TABLES}
+    assert count == {"clean": 300, "ripple": 100, "one": 840, "two": 200, "unshelved": 280, "strangers": 100}
+    assert len({case.id for case in cases}) == len({case.seed for case in cases}) == len(cases)
+
+
+def test_the_ripple_is_as_large_as_stated_and_another_after_a_remount() -> None:
+    ripple = blind_strangers.Ripple(relative=1e-3)
+    channel = strength.Quiet(1, 50.0, ()).channels["unit_a_x"]
+    f = np.geomspace(20.0, 500.0, 50)
+    found = []
+    for seed in range(200):
+        ripple.remount(np.random.default_rng(seed))
+        found.append(np.asarray(ripple.response(channel, f)) - 1.0)
+    assert np.sqrt(np.mean(np.abs(found) ** 2)) == pytest.approx(1e-3, rel=0.1)
+    assert np.max(np.abs(found[0] - found[1])) > 3e-4
+    assert np.max(np.abs(np.diff(found[0]))) < 0.4 * np.max(np.abs(found[0]))  # smooth

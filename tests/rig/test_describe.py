@@ -1,0 +1,117 @@
+"""Effects that are on no shelf are described by what the data show of them, with a formula that repairs the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import fast_bench
+import numpy as np
+import pytest
+
+from fixtures import channels as cabling
+from fixtures.imperfections import SHELF, Array, Imperfection
+from fixtures.motion import Motion as TrueMotion
+from rig.estimate import adequacy
+from rig.estimate.describe import Description, describe
+from rig.estimate.evidence import Evidence, evidence_of
+from rig.formula import formula_effect, term_of
+
+SWEEP = {"procedure": "frequency_sweep", "axis": "x"}
+TURNS = {"procedure": "turntable", "revolutions": 10, "rest": "30 s", "all": True}
+
+
+@dataclass
+class _Bent(Imperfection):
+    """Accelerometers, or one of them, feel the square of the drive's voltage."""
+
+    name = "bent"
+    stage = "transducer"
+    alone: float = 0.0
+
+    def felt(self, channel: cabling.Channel, felt: Array, motion: TrueMotion) -> Array:
+        here = channel.name == "unit_b_x" if self.alone else channel.quantity == "acceleration"
+        return np.asarray(felt + 0.01 * motion.drive**2) if here else felt
+
+
+@dataclass
+class _Poles(Imperfection):
+    """Gyros feel five poles around the platter, and the root of its rate."""
+
+    name = "poles"
+    stage = "transducer"
+    wave: float = 0.0
+    root: float = 0.0
+
+    def felt(self, channel: cabling.Channel, felt: Array, motion: TrueMotion) -> Array:
+        if channel.quantity != "rate" or motion.mount.place != "turntable":
+            return felt
+        root = np.sqrt(np.abs(motion.rate[1]))
+        return np.asarray(felt + self.wave * np.sin(5.0 * motion.angle + 0.7) + self.root * root)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def strangers() -> Iterator[None]:
+    """The world knows two imperfections more while these tests run."""
+    with pytest.MonkeyPatch.context() as patch:
+        for kind in (_Bent, _Poles):
+            patch.setitem(SHELF._kinds, kind.name, kind)
+        yield
+
+
+def _described(document: dict[str, object], hidden: list[dict[str, object]]) -> tuple[Evidence, Description]:
+    evidence = evidence_of([fast_bench.measure(document, fast_bench.world(11, hidden))])
+    return evidence, describe(evidence, evidence.fitted())
+
+
+def _repairs(evidence: Evidence, found: Description) -> bool:
+    assert found.on is not None
+    effect = formula_effect("tried", found.formula, on=found.on, starts=found.starts, channels=found.only)
+    return adequacy.adequate(evidence.fitted([term_of(effect)]))
+
+
+def test_a_square_of_the_drive_is_described_by_lines_powers_and_parity() -> None:
+    evidence, found = _described(SWEEP, [{"name": "bent"}])
+    assert found.domains[0] == "2f"
+    assert "unit_a_x" in found.channels
+    assert not any("gyro" in channel for channel in found.channels)
+    assert found.exponents["frequency"] == pytest.approx(-4.0, abs=0.1)  # a = −ω²kV
+    assert found.exponents["level"] == pytest.approx(2.0, abs=0.05)
+    assert found.parity == "even"
+    assert (found.formula, found.on) == ("k*V**2", "acceleration")
+    assert found.explained > 0.95
+    assert _repairs(evidence, found)
+    assert any("power 2.0" in sentence for sentence in found.words)
+
+
+def test_what_one_channel_shows_alone_is_described_for_that_channel() -> None:
+    evidence, found = _described(SWEEP, [{"name": "bent", "parameters": {"alone": 1.0}}])
+    assert found.channels == ("unit_b_x",)
+    assert (found.formula, found.only) == ("k*V**2", ("unit_b_x",))
+    assert _repairs(evidence, found)
+
+
+def test_a_wave_of_the_angle_is_described_by_its_order_and_repaired_by_sine_and_cosine() -> None:
+    evidence, found = _described(TURNS, [{"name": "poles", "parameters": {"wave": 0.02}}])
+    assert found.orders == (5,)
+    assert found.formula == "k1*cos(5*theta) + k2*sin(5*theta)"
+    assert all(sentence.endswith(".") for sentence in found.words)
+    assert _repairs(evidence, found)
+    assert found.term is not None
+    assert np.hypot(found.term.at["k1"], found.term.at["k2"]) == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_root_of_the_rate_is_described_by_its_power_and_parity() -> None:
+    evidence, found = _described(TURNS, [{"name": "poles", "parameters": {"root": 0.05}}])
+    assert found.exponents["rate"] == pytest.approx(0.5, abs=0.1)
+    assert found.parity == "even"
+    assert found.orders == ()
+    assert "sqrt(abs(omega))" in found.formula
+    assert _repairs(evidence, found)
+
+
+def test_where_nothing_is_missing_nothing_is_described() -> None:
+    _, found = _described(SWEEP, [])
+    assert found.domains == ()
+    assert found.words[0] == "Nothing stands out of the noise."
+    assert found.formula == ""

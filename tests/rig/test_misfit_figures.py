@@ -1,0 +1,79 @@
+"""Figures of a misfit: the right files, readable, with the words and the mark that they must carry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import fast_bench
+import numpy as np
+import pytest
+
+from rig.estimate.evidence import Evidence, evidence_of
+from rig.estimate.misfit import conditions
+from rig.estimate.misfit_cells import tables
+from rig.misfit_figures import draw, shaker, turntable
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Evidence:
+    hidden = [{"name": "quadratic", "parameters": {"coefficient": 8e-4, "quantity": "acceleration"}}]
+    return evidence_of([fast_bench.measure({"procedure": "frequency_sweep", "axis": "x"}, fast_bench.world(1, hidden))])
+
+
+@pytest.fixture(scope="module")
+def turn() -> Evidence:
+    hidden = [{"name": "encoder_eccentricity", "parameters": {"ratio": 8e-3, "direction": 1.0}}]
+    return evidence_of([fast_bench.measure({"procedure": "turntable"}, fast_bench.world(1, hidden))])
+
+
+def test_a_sweep_has_one_figure_in_svg_and_png(sweep: Evidence, tmp_path: Path) -> None:
+    paths = draw(sweep, sweep.fitted(), tmp_path / "figures")
+    assert [path.name for path in paths] == ["misfit_shaker.svg", "misfit_shaker.png"]
+    assert paths[0].read_text(encoding="utf-8").startswith("<?xml")
+    assert paths[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_only_a_simulated_figure_says_so(sweep: Evidence, tmp_path: Path) -> None:
+    fit = sweep.fitted()
+    marked = draw(sweep, fit, tmp_path / "a")[0].read_text(encoding="utf-8")
+    plain = draw(replace(sweep, simulated=False), fit, tmp_path / "b")[0].read_text(encoding="utf-8")
+    assert "<!-- SIMULATED -->" in marked
+    assert "SIMULATED" not in plain
+
+
+def test_the_same_fit_gives_the_same_file(sweep: Evidence, tmp_path: Path) -> None:
+    fit = sweep.fitted()
+    assert draw(sweep, fit, tmp_path / "a")[0].read_bytes() == draw(sweep, fit, tmp_path / "b")[0].read_bytes()
+
+
+def test_the_title_says_the_worst_condition_and_the_last_row_shows_it(sweep: Evidence) -> None:
+    fit = sweep.fitted()
+    figure = shaker(fit, 0, sweep.sines[0], conditions(fit, tables(fit)))
+    assert "2f" in figure.get_suptitle() and "as the square of the level" in figure.get_suptitle()
+    last = figure.axes[4]
+    assert last.get_ylabel() == "size of 2f ÷ noise"
+    assert max(float(np.nanmax(line.get_ydata())) for line in last.get_lines()) > 5.0
+
+
+def test_a_turntable_run_shows_its_misfit_at_the_first_order(turn: Evidence) -> None:
+    fit = turn.fitted()
+    figure = turntable(fit, 0, turn.turnings[0], conditions(fit, tables(fit)))
+    time, angle, orders = figure.axes
+    assert "once per revolution" in figure.get_suptitle()
+    assert (
+        max(float(np.max(np.abs(line.get_ydata()))) for line in angle.get_lines() if len(line.get_xdata()) == 36) > 4.0
+    )
+    spectrum = max(orders.get_lines()[:-1], key=lambda line: float(np.max(line.get_ydata())))
+    assert spectrum.get_xdata()[int(np.argmax(spectrum.get_ydata()))] == pytest.approx(1.0, abs=0.15)
+    assert "gyro_yaw" in " ".join(text.get_text() for text in time.get_legend().get_texts())
+
+
+def test_a_clean_world_says_that_nothing_stands_out_and_stays_in_the_band(tmp_path: Path) -> None:
+    run = fast_bench.measure({"procedure": "frequency_sweep", "axis": "x", "points": 12}, fast_bench.world(7))
+    clean = evidence_of([run])
+    fit = clean.fitted()
+    figure = shaker(fit, 0, clean.sines[0], conditions(fit, tables(fit)))
+    assert "nothing stands out of the noise" in figure.get_suptitle()
+    values = np.concatenate([line.get_ydata() for line in figure.axes[0].get_lines() if len(line.get_xdata()) > 2])
+    assert np.mean(np.abs(values) < 2.0) > 0.85

@@ -1,0 +1,212 @@
+"""A model's file reads back as it was written, and names every mistake by its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import fast_bench
+import numpy as np
+import pytest
+
+from rig import repair
+from rig.errors import BadInput, ConfigError
+from rig.estimate.parameters import estimates
+from rig.model import Term
+from rig.model_file import Model, as_text, load, path_of, save, terms_of
+from rig.records import Recorded
+from rig.repair import Bench, Repaired
+from rig.shelf import shelf
+
+HIDDEN = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
+SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 8}
+HEAD = "format: 1\nunit: SIM-CUBE-1\n"
+
+
+@lru_cache(maxsize=1)
+def records() -> Recorded:
+    """A short sweep of a unit with a strong cubic nonlinearity."""
+    return fast_bench.measure(SWEEP, fast_bench.world(5, [HIDDEN]))
+
+
+@lru_cache(maxsize=1)
+def bench() -> Bench:
+    return repair.bench_of([records()], shelf())
+
+
+@lru_cache(maxsize=1)
+def repaired() -> Repaired:
+    return repair.added(bench(), repair.new(bench(), "datasheet"), "cubic")
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "model.yaml"
+    path.write_text(HEAD + text, encoding="utf-8")
+    return path
+
+
+def test_a_model_reads_back_as_it_was_written_and_predicts_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "models" / "unit.yaml"
+    save(path, repaired().model)
+    again = load(path, shelf())
+    assert again == repaired().model
+    (term,) = terms_of(again, shelf())
+    (fitted,) = [one for one in repaired().fit.state.terms if not one.prior]
+    assert (term.effect.name, term.on) == ("cubic", "acceleration")
+    assert term.at["coefficient"] == pytest.approx(fitted.at["coefficient"], rel=1e-9)
+    assert [one.name for one in path.parent.iterdir()] == ["unit.yaml"]  # no half-written file stays
+
+
+def test_adding_the_missing_effect_brings_the_error_down_to_the_noise_on_held_out_data_too() -> None:
+    start, add = repaired().model.history
+    assert (start.action, add.action, add.effect) == ("start", "add", "cubic")
+    assert start.error > 1.3
+    assert start.heldout is not None
+    assert add.heldout is not None
+    assert start.heldout > 1.3
+    assert add.error == pytest.approx(1.0, abs=0.1)
+    assert add.heldout == pytest.approx(1.0, abs=0.15)
+    assert add.noise == 1.0
+
+
+def test_the_true_parameter_is_within_its_expanded_uncertainty() -> None:
+    found = repaired().model.effects[0].parameters["coefficient"]
+    assert found.unit == "1/(m/s²)²"
+    assert found.u is not None
+    assert abs(found.value - HIDDEN["parameters"]["coefficient"]) < 3.0 * found.u  # type: ignore[index]
+
+
+def test_the_time_of_a_step_is_the_bench_s_and_not_the_machine_s() -> None:
+    newest = max(entry.t for entry in records().lines)
+    assert repaired().after.when == pytest.approx(newest, abs=1e-3)
+
+
+def test_two_versions_differ_only_where_the_model_does() -> None:
+    again = repair.added(bench(), repair.new(bench(), "datasheet"), "cubic").model
+    assert as_text(again) == as_text(repaired().model)
+    other = again.model_copy(update={"simulated": False})
+    lines = [set(as_text(one).splitlines()) for one in (again, other)]
+    assert lines[0] ^ lines[1] == {"simulated: true", "simulated: false"}
+
+
+def test_removing_what_was_added_brings_the_error_back() -> None:
+    less = repair.removed(bench(), repaired().model, "cubic")
+    assert less.model.effects == ()
+    assert [step.action for step in less.model.history] == ["start", "add", "remove"]
+    assert less.after.error == pytest.approx(less.model.history[0].error, rel=1e-4)
+
+
+def test_the_paper_s_model_has_no_output_filter_and_fails() -> None:
+    paper = repair.fitted(bench(), repair.new(bench(), "paper"))
+    assert all(channel.pole is None for channel in paper.model.channels.values())
+    assert paper.after.error > 3.0 * repaired().model.history[0].error
+
+
+def test_covariance_is_that_of_the_fit_with_a_name_for_every_row() -> None:
+    covariance = repaired().model.covariance
+    assert covariance.order == ("cubic (acceleration).coefficient",)
+    u = repaired().model.effects[0].coordinates["coefficient"].u
+    assert u is not None
+    assert covariance.values[0][0] == pytest.approx(u**2, rel=1e-4)
+
+
+def test_a_model_written_by_hand_may_give_parameters_alone(tmp_path: Path) -> None:
+    text = "effects:\n- effect: cubic\n  on: acceleration\n  parameters: {coefficient: {value: 2e-5}}\n"
+    (term,) = terms_of(load(written(tmp_path, text), shelf()), shelf())
+    assert term.at == {"coefficient": 2e-5}
+
+
+def test_a_term_by_formula_is_loaded_and_fitted(tmp_path: Path) -> None:
+    text = "effects:\n- {effect: own, formula: k * u**3, on: acceleration, values: {k: 1e-5}}\n"
+    model = load(written(tmp_path, text), shelf())
+    (term,) = terms_of(model, shelf())
+    assert (term.effect.name, term.on, term.at) == ("own", "acceleration", {"k": 1e-5})
+    done = repair.fitted(bench(), model)
+    save(tmp_path / "after.yaml", done.model)
+    (again,) = load(tmp_path / "after.yaml", shelf()).effects
+    assert again.formula == "k * u**3"
+    cubic = repaired().model.effects[0].coordinates["coefficient"]
+    cubic = repaired().model.effects[0].coordinates["coefficient"]
+    assert again.coordinates["k"].value == pytest.approx(cubic.value, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "found", "wanted"),
+    [
+        ("effects:\n- {effect: cubik, on: rate}\n", ":4:12 effects[0].effect:", "'cubik'", "cubic"),
+        ("effects:\n- {effect: cubic}\n", ":4:3 effects[0].on:", "nothing", "acceleration or rate"),
+        ("effects:\n- {effect: rocking, on: rate}\n", "effects[0].on:", "'rate'", ""),
+        ("start: blank\n", ":3:8 start:", "'blank'", "'datasheet' or 'paper'"),
+        ("begin: paper\n", ":3:1 begin:", "unknown key", "start"),
+        (
+            "effects:\n- effect: cubic\n  on: rate\n  coordinates: {coefficent: {value: 1}}\n",
+            ":6:29 effects[0].coordinates.coefficent:", "unknown name", "coefficient",
+        ),
+        (
+            "effects:\n- effect: delay\n  on: rate\n  coordinates: {time: {value: 1e-5}}\n"
+            "  parameters: {time: {value: 2e-5}}\n",
+            ":7:30 effects[0].parameters.time.value:", "2e-05", "1e-05",
+        ),
+        ("effects:\n- {effect: own, formula: k * u}\n", "effects[0].on:", "nothing", "acceleration or rate"),
+        ("effects:\n- {effect: own, formula: k * (, on: rate}\n", ":4:26 effects[0].formula:", "found", "numbers"),
+        ("covariance: {order: [a, b], values: [[1]]}\n", "covariance.values:", "another shape", "2 rows of 2"),
+        ("channels: {unit_a_x: {sensitivity: {value: much}}}\n", ":3:44 channels.unit_a_x.sensitivity.value:",
+         "'much'", "a number"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_by_line_column_key_found_and_wanted(
+    tmp_path: Path, text: str, place: str, found: str, wanted: str
+) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load(path, shelf())
+    said = str(caught.value)
+    assert said.startswith(f"{path}:")
+    assert place in said
+    assert found in said.partition("found")[2] or found in said
+    assert wanted in said.partition("wanted")[2]
+
+
+def test_a_model_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="found no model, wanted"):
+        load(tmp_path / "none.yaml")
+
+
+def test_another_unit_s_model_is_refused(tmp_path: Path) -> None:
+    save(tmp_path / "other.yaml", Model(unit="another"))
+    with pytest.raises(BadInput, match="found a model of another, wanted one of SIM-CUBE-1"):
+        repair.model_at(tmp_path / "other.yaml", bench(), None)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("cubic", "another effect"),
+        ("sensitivity", "an effect that a fit can see"),
+        ("missed_counts", "wanted one"),
+        ("lever_arm", "can act here"),
+        ("cubik", "cubic"),
+    ],
+)
+def test_an_effect_that_cannot_be_added_is_refused_with_the_reason(name: str, wanted: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        repair.added(bench(), repaired().model, name, "acceleration" if name == "cubic" else None)
+    assert wanted in str(caught.value)
+
+
+def test_a_serial_number_cannot_lead_out_of_the_folder() -> None:
+    assert path_of(Path("runs"), "../../x y").parent == Path("runs/models")
+
+
+@pytest.mark.parametrize("angle", [0.3, math.pi - 1e-9, -2.0])
+def test_uncertainties_of_size_and_phase_follow_from_those_of_the_components(angle: float) -> None:
+    effect = shelf()["mains_hum"]
+    at: Mapping[str, float] = effect.from_physical(
+        {"amplitude": 2e-3, "third": 1e-3, "phase": angle, "phase_third": 0.0, "offset": 0.01}
+    )
+    count = sum(not c.searched for c in effect.coordinates)
+    found = estimates(Term(effect, "acceleration", at), np.eye(count) * 1e-10)
+    assert found["amplitude"].u == pytest.approx(1e-5, rel=1e-4)
+    assert found["phase"].u == pytest.approx(1e-5 / 2e-3, rel=1e-4)

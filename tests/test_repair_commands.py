@@ -1,0 +1,192 @@
+"""Compare, see where it fails, learn what is missing, add it, watch the error fall: through the command line.
+
+The bench hides a cubic nonlinearity of the accelerometers; runs come over its sockets.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from rig.bench import control
+from rig.bench.assembly import state_folder
+from rig.bench.benchfile import describe
+from rig.cli import cli
+from rig.config import shipped
+from rig.errors import BadInput
+
+HIDDEN = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
+
+
+def rig(runs: Path, *words: str, wanted: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    assert done.returncode == wanted, (words, done.stdout[-1500:], done.stderr[-1500:])
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def said(runs: Path, *words: str) -> str:
+    """The same in this process, which is quicker; raises what the command raises."""
+    done = CliRunner().invoke(cli, [*words, "--runs", str(runs)], catch_exceptions=False, standalone_mode=False)
+    return done.stdout
+
+
+def asked(runs: Path, *words: str) -> Any:
+    return json.loads(said(runs, *words, "--json"))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """One short sweep on a bench with a hidden effect."""
+    folder = tmp_path_factory.mktemp("repair")
+    shipped_bench = shipped("benches/simulated.yaml")
+    world = yaml.safe_load((shipped_bench.parent / "../worlds/clean.yaml").read_text(encoding="utf-8"))
+    (folder / "world.yaml").write_text(yaml.safe_dump({**world, "hidden": [HIDDEN]}, allow_unicode=True))
+    bench = shipped_bench.read_text(encoding="utf-8").replace("../worlds/clean.yaml", str(folder / "world.yaml"))
+    bench = bench.replace("seed: 1}", "seed: 2}")
+    path = folder / "bench.yaml"
+    path.write_text(bench.replace("../", f"{shipped_bench.parent.parent}/"), encoding="utf-8")
+    rig(folder / "runs", "sweep", "--axis", "x", "--points", "8", "--bench", str(path))
+    yield folder / "runs"
+    control.stop(state_folder(describe(path), folder / "runs"))
+
+
+@pytest.fixture(scope="module")
+def diagnosis(runs: Path) -> Mapping[str, Any]:
+    """What `rig diagnose --json` says of it, before anything was added."""
+    found: Mapping[str, Any] = asked(runs, "diagnose", "last", "--model", str(runs / "none.yaml"))
+    return found
+
+
+def test_the_hidden_effect_is_named_with_its_true_size(diagnosis: Mapping[str, Any]) -> None:
+    assert diagnosis["verdict"] == "missing"
+    first = diagnosis["candidates"][0]
+    assert first["effect"] == "cubic"
+    assert first["on"] == "acceleration"
+    assert first["class"][0] == "cubic"
+    value = first["parameters"]["coefficient"]
+    assert value["unit"] == "1/(m/s²)²"
+    assert abs(value["value"] - 3e-4) < 3.0 * value["u"]
+
+
+def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(diagnosis: Mapping[str, Any]) -> None:
+    assert set(diagnosis) == {"verdict", "groups", "candidates", "description", "cannot_see"}
+    before = max(group["ratio"] for group in diagnosis["groups"])
+    for one in diagnosis["candidates"]:
+        assert set(one) == {
+            "effect", "on", "class", "probability", "error_after", "heldout_error_after", "parameters", "plausible",
+            "because", "separate_by",
+        }  # fmt: skip
+        assert 0.0 <= one["probability"] <= 1.0
+        assert one["effect"] in one["class"]
+        assert one["because"]
+        assert one["separate_by"]
+    first = diagnosis["candidates"][0]
+    assert before > 1.5
+    assert first["error_after"] == pytest.approx(1.0, abs=0.15)
+    assert first["heldout_error_after"] == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_diagnosis_says_what_this_data_cannot_see(diagnosis: Mapping[str, Any]) -> None:
+    limits = "\n".join(diagnosis["cannot_see"])
+    assert "no turntable run" in limits
+    assert "driven along x only" in limits
+    assert "sensitivity: " in limits
+    assert "one drive level only" not in limits
+
+
+def test_one_level_only_is_said(runs: Path) -> None:
+    bench = str(runs.parent / "bench.yaml")
+    rig(runs, "sweep", "--axis", "x", "--points", "2", "--levels", "full", "--bench", bench)
+    limits = asked(runs, "diagnose", "last", "--model", str(runs / "none.yaml"))["cannot_see"]
+    assert any("one drive level only" in line for line in limits)
+
+
+def test_comparing_shows_where_the_model_fails_and_draws_it(runs: Path, first_run: str) -> None:
+    found = asked(runs, "compare", first_run, "--model", str(runs / "none.yaml"))
+    assert set(found) == {"groups", "worst", "figures"}
+    assert found["groups"]
+    assert 1 <= len(found["worst"]) <= 3
+    assert all(Path(path).read_bytes() for path in found["figures"])
+    assert {Path(path).suffix for path in found["figures"]} == {".svg", ".png"}
+    assert {Path(path).parent for path in found["figures"]} == {runs / "reports" / first_run}
+
+
+@pytest.fixture(scope="module")
+def first_run(runs: Path) -> str:
+    """The sweep with two levels."""
+    return sorted(path.name for path in runs.iterdir() if (path / "journal.jsonl").exists())[0]
+
+
+def test_adding_it_brings_the_error_to_the_noise_and_removing_it_brings_it_back(
+    runs: Path, first_run: str, tmp_path: Path
+) -> None:
+    file = ("--model", str(tmp_path / "model.yaml"))
+    added = asked(runs, "add", "cubic", first_run, *file)
+    assert added["before"]["error"] > 1.3
+    assert added["after"]["error"] == pytest.approx(1.0, abs=0.15)
+    assert asked(runs, "diagnose", first_run, *file)["verdict"] == "adequate"
+    assert "next: rig" in said(runs, "remove", "cubic", first_run, *file)
+    ladder = asked(runs, "history", first_run, *file)
+    assert [(step["action"], step["effect"]) for step in ladder["history"]] == [
+        ("start", None), ("add", "cubic"), ("remove", "cubic"),
+    ]  # fmt: skip
+    first, second, third = (step["error"] for step in ladder["history"])
+    assert math.isclose(first, third, rel_tol=1e-3)
+    assert second < first
+    assert {Path(path).suffix for path in ladder["figures"]} == {".svg", ".png"}
+
+
+def test_the_model_of_the_unit_is_the_default_of_every_command(runs: Path, first_run: str) -> None:
+    said(runs, "fit", first_run)
+    path = runs / "models" / "SIM-CUBE-1.yaml"
+    assert yaml.safe_load(path.read_text(encoding="utf-8"))["start"] == "datasheet"
+    assert "start" in said(runs, "history", first_run)
+    with pytest.raises(BadInput, match="found paper, wanted datasheet"):
+        said(runs, "diagnose", first_run, "--start", "paper")
+
+
+def test_a_diagnosis_in_words_ends_with_what_to_do_next_and_exit_code_0(runs: Path, first_run: str) -> None:
+    done = rig(runs, "diagnose", first_run, "--model", str(runs / "none.yaml"))
+    assert done.stdout.splitlines()[1].startswith("verdict: missing cubic")
+    assert done.stdout.splitlines()[-1] == f"next: rig add cubic {first_run} --on acceleration"
+    assert "%/g²" in done.stdout
+    assert "SIMULATED" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("diagnose", "nothing"),
+        ("add", "cubik", "last"),
+        ("remove", "delay", "last"),
+        ("history", "--model", "nowhere.yaml"),
+        ("add", "own", "last", "--formula", "import os"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(runs: Path, words: tuple[str, ...]) -> None:
+    with pytest.raises(BadInput, match=r"found.*wanted"):
+        said(runs, *words)
+
+
+def test_a_notebook_gets_the_same_answers(runs: Path, first_run: str) -> None:
+    from rig import Model, open_run
+
+    model = Model(open_run(runs / first_run))
+    assert model.diagnose().candidates[0].effect == "cubic"
+    model.add("cubic", "acceleration")
+    assert [step.action for step in model.history] == ["start", "add"]
+    assert model.fit.chi2 / model.fit.count == pytest.approx(1.0, abs=0.3)
+    assert model.compare().groups

@@ -17,7 +17,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,8 +223,8 @@ def volts(
 ) -> NDArray[np.inexact]:
     """Output of every channel: harmonics (c, p, 6), complex, or instants (c, n); V.
 
-    `motion` is true already as far as the reference goes (see `shaken` and `turned`), and terms act at its place. `before` holds the observed volts
-    of the slot before each channel, for what the multiplexer leaves.
+    `motion` is true already as far as the reference goes (see `shaken` and `turned`), and the terms act at its place.
+    `before` holds the observed volts of the slot before each channel, for what the multiplexer leaves.
     """
     for term in terms:
         motion = term.effect.motion(motion, term.at)
@@ -239,7 +239,8 @@ def volts(
     for term in terms:
         more = term.effect.added(motion, own.only(channels.of(term.on)), term.at)
         if more is not None:
-            total[channels.of(term.on)] += motion.grid.plain(more)
+            here = channels.of(term.on)
+            total[here] = total[here] + motion.grid.plain(more)
     return _sampled(total, motion.grid, channels, terms, before)
 
 
@@ -274,7 +275,7 @@ class _response:  # noqa: N801 - a function with something in its pocket
         return found
 
 
-def _tall(values: NDArray[np.generic], ndim: int) -> NDArray[np.generic]:
+def _tall(values: NDArray[Any], ndim: int) -> NDArray[Any]:
     """Values per channel in a shape that multiplies (c, …)."""
     return values.reshape(len(values), *(1,) * (ndim - 1))
 
@@ -287,7 +288,11 @@ def _with_zero(signal: NDArray[np.inexact], zero: Array) -> NDArray[np.inexact]:
 
 
 def _sampled(
-    total: NDArray[np.inexact], grid: Grid, channels: Channels, terms: Sequence[Term], before: NDArray[np.inexact] | None
+    total: NDArray[np.inexact],
+    grid: Grid,
+    channels: Channels,
+    terms: Sequence[Term],
+    before: NDArray[np.inexact] | None,
 ) -> NDArray[np.inexact]:
     for term in terms:
         if _has(term.effect, "late") and isinstance(grid, Periods):

@@ -32,6 +32,7 @@ FINE = 512  # phases for a characteristic with a kink, whose high harmonics woul
 ORDERS = 6  # harmonics 0 … 5
 MARGIN = 64  # samples added to either end of a stretch before it is filtered
 
+
 @lru_cache(maxsize=4)
 def _transforms(phases: int) -> tuple[Complexes, Complexes]:
     """From one period to its harmonics and back: (phases, 6) and (6, phases)."""

@@ -63,8 +63,8 @@ def next_(
     """
     work = opened(names, runs, model, start, effects)
     diagnosis = _diagnosed(work)
-    rows = [(one, _minutes(one, bench)) for one in _ranked(diagnosis)]
-    rows = [(one, minutes) for one, minutes in rows if minutes is not None]
+    timed = [(one, _minutes(one, bench)) for one in _ranked(diagnosis)]
+    rows = [(one, minutes) for one, minutes in timed if minutes is not None]
     path = _written(rows[0][0], out or work.figures / "next.yaml") if rows else None
     if as_json:
         print_json(_ranking_as_json(diagnosis, rows, path))
@@ -231,7 +231,9 @@ class _Loop:
                 return diagnosis.verdict
             rows = [one for one in _ranked(diagnosis) if one.decides and _minutes(one, self._bench) is not None]
             worth = rows and rows[0].option.name not in ("repeat",)
-            if worth and self.measured(dict(rows[0].option.document), f"to decide between {' and '.join(rows[0].pair)}"):
+            if worth and self.measured(
+                dict(rows[0].option.document), f"to decide between {' and '.join(rows[0].pair)}"
+            ):
                 continue
             if not self._adds(work, diagnosis):
                 return "undecided"
@@ -286,9 +288,7 @@ def demo() -> None:
 @runs_option
 @json_option
 @click.pass_context
-def hidden(
-    ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: Path, as_json: bool
-) -> None:
+def hidden(ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: Path, as_json: bool) -> None:
     """A sealed world with one hidden effect: measure, compare, diagnose, add it, and see the error fall.
 
     The world belongs to the runs folder. `rig bench reveal` tells what was hidden.

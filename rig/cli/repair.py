@@ -209,9 +209,8 @@ def verdict_text(said: Conclusion) -> str:
         case "adequate":
             return f"verdict: adequate - the model leaves nothing but noise ({errors})"
         case "missing":
-            return (
-                f"verdict: missing {names} - {errors}, {there}; with it {said.after:.4g}, there {said.worst_after:.3g}"
-            )
+            after = f"with it {said.after:.4g}, there {said.worst_after:.3g}"
+            return f"verdict: missing {names} - {errors}, {there}; {after}"
         case "unlisted":
             return f"verdict: unlisted effect - {errors}, {there}; with the best of the shelf {said.after:.4g}"
         case _:
@@ -324,7 +323,7 @@ def repaired_text(made: Repaired) -> list[str]:
     lines = [f"{done}: {made.model.unit}, {made.model.start} model{mark}"]
     for entry in made.model.effects:
         values = ", ".join(f"{n} = {Estimate(v.value, v.unit, v.u).text}" for n, v in entry.parameters.items())
-        lines.append(f"  {entry.effect}{f' ({entry.on})' if entry.on else ''}: {values}")
+        lines.append(f"  {entry.effect}{f' ({entry.on})' if entry.on else ''}{f': {values}' if values else ''}")
     lines += [f"  note: {remark}" for remark in made.remarks]
     return [*lines, *_errors_text(made)]
 

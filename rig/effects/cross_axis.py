@@ -14,9 +14,7 @@ class CrossAxis(Effect):
     parameters = (Parameter("share", "1", (-1.0, 1.0), (0.005, 0.03)),)
     missing = "a copy of the driven axis in the axis before it, in phase, the same share at every frequency and level"
     confused_with = ("transverse_motion", "multiplexer_settling", "crosstalk")
-    separate_by = (
-        "the cube turned by 90° about the driven axis, or another axis driven: a true share goes with the cube"
-    )
+    separate_by = "the cube turned by 90° about the driven axis, or another axis driven: a true share goes along"
     source = "effects.md S03, S04; IEEE 1293"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:

@@ -17,9 +17,7 @@ class EncoderEccentricity(Effect):
         Parameter("ratio", "rad", (0.0, 0.5), (4e-4, 2e-3)),
         Parameter("direction", "rad", (-math.inf, math.inf), (0.0, 2.0 * math.pi)),
     )
-    missing = (
-        "encoder less gyro once per revolution, amplitude ∝ rate, phase fixed to the index; nothing in whole turns"
-    )
+    missing = "encoder less gyro once per revolution, amplitude ∝ rate, phase fixed to the index; none in whole turns"
     confused_with = ("motor_pickup", "platen_tilt", "g_sensitivity")
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, independent of ω for a tilt or a field"
     source = "effects.md T01; HEDS-9040 data sheet"

@@ -4,23 +4,8 @@ import numpy as np
 
 from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Quantity, Values
 
-SHARES = (
-    0.9995,
-    0.998,
-    0.996,
-    0.994,
-    0.992,
-    0.99,
-    0.988,
-    0.986,
-    0.984,
-    0.98,
-    0.97,
-    0.95,
-    0.91,
-    0.8,
-    0.6,
-)  # of the largest input, where a fit may start
+# of the largest input, where a fit may start
+SHARES = (0.9995, 0.998, 0.996, 0.994, 0.992, 0.99, 0.988, 0.986, 0.984, 0.98, 0.97, 0.95, 0.91, 0.8, 0.6)
 
 
 class Saturation(Effect):

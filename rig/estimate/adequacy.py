@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
 LIMIT = 5.0  # standard deviations of a group's χ²
 BANDS = ((0.0, 0.3), (0.3, 1.2), (1.2, 3.0), (3.0, 20.0))  # Hz
 FEWEST = 4
+KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Group:
     domain: str
     chi2: float
     count: int
+    allowance: float = ALLOWANCE
 
     @property
     def ratio(self) -> float:
@@ -44,7 +46,7 @@ class Group:
     @property
     def z(self) -> float:
         """Excess of χ²/n in standard deviations, with the allowance."""
-        return (self.chi2 / self.count - 1.0) / math.sqrt(2.0 / self.count + ALLOWANCE**2)
+        return (self.chi2 / self.count - 1.0) / math.sqrt(2.0 / self.count + self.allowance**2)
 
 
 def groups(found: Fit) -> list[Group]:
@@ -97,9 +99,11 @@ def _of_turning(part: Turning, left: Array, counted: NDArray[np.bool_]) -> Itera
     c = len(part.channels.names)
     table, used = (left**2).reshape(c, -1), counted.reshape(c, -1)
     masks = bands_of(part)
+    allowance = ALLOWANCE * math.sqrt(max(KNOWN / max(part.data.resting, 1.0), 1.0))
     for row, channel in enumerate(part.channels.names):
         for domain, mask in masks.items():
-            yield _group(part.name, "turntable", channel, domain, table[row, mask], used[row, mask])
+            one = _group(part.name, "turntable", channel, domain, table[row, mask], used[row, mask])
+            yield replace(one, allowance=allowance)
 
 
 def bands_of(part: Turning) -> dict[str, NDArray[np.bool_]]:

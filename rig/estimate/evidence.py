@@ -1,5 +1,4 @@
-"""Everything that a model of a unit is compared with: the parts of a fit, what is known of the bench, and what is not.
-"""
+"""Everything that a model of a unit is compared with: the parts of a fit, and what is known of the bench."""
 
 from __future__ import annotations
 
@@ -88,8 +87,9 @@ def _notes(runs: Sequence[Recorded], sines: Sequence[Sines], turnings: Sequence[
     for run in runs:
         if run.status != "completed":
             yield f"{run.name} is {run.status}: not every point of it was measured"
-    for one in (*sines, *turnings):
-        yield from one.data.notes
+    for noted in ([one.data.notes for one in sines], [one.data.notes for one in turnings]):
+        for notes in noted:
+            yield from notes
     for part in sines:
         bad = [n for n, usable in zip(part.channels.names, part.data.usable, strict=True) if not usable.all()]
         if bad:

@@ -1,9 +1,9 @@
 """What to measure next: for every measurement that the bench can do, how well it would decide between what is open.
 
 A measurement that has not been made is a part whose motion is known and whose rows are those that one of two rival
-models predicts. The other model is readjusted to the old rows and the new ones together (linearised about its fit); the
-χ² that it cannot get rid of is the expected power to decide (T-optimal design: Atkinson and Fedorov 1975). Power for the
-better known minutes decides the order.
+models predicts. The other model is readjusted to the old rows and the new ones together (linearised about its fit);
+the χ² that it cannot get rid of is the expected power to decide (T-optimal design: Atkinson and Fedorov 1975). The most
+powerful comes first, among equals the quickest.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from rig.estimate import fit as fitting
 from rig.estimate.diagnose import Choice, Diagnosis
-from rig.estimate.fit import Fit, Part
+from rig.estimate.fit import Fit, Indices, Part
 from rig.estimate.sines import LINES, SineRecords, Sines, directions
 from rig.estimate.turning import Turning
 from rig.motion import ORDERS, Array
@@ -94,7 +94,7 @@ def power(truth: Choice, rival: Choice, part: Part) -> float:
     assert truth.fit is not None
     assert rival.fit is not None
     expected = part.whitened(part.raw(_local(truth.fit, part), truth.fit.state.terms))
-    state, order, normal, columns, predicted = _extended(rival.fit, part)
+    normal, columns, predicted = _extended(rival.fit, part)
     left = expected - predicted
     gradient = columns.T @ left
     whole = normal + columns.T @ columns
@@ -109,8 +109,8 @@ def _local(found: Fit, part: Part) -> Any:
     raise ValueError(f"found no part like {part.name}")
 
 
-def _extended(found: Fit, part: Part) -> tuple[fitting.State, fitting.Layout, Array, Array, Array]:
-    """The rival's state, layout, normal matrix and columns with the new part's own zeros free."""
+def _extended(found: Fit, part: Part) -> tuple[Array, Array, Array]:
+    """The rival's normal matrix, columns and prediction with the new part's own zeros free."""
     number = next(n for n, p in enumerate(found.parts) if p.place == part.place)
     state = replace(
         found.state,
@@ -127,10 +127,10 @@ def _extended(found: Fit, part: Part) -> tuple[fitting.State, fitting.Layout, Ar
     normal = np.zeros((order.size, order.size))
     places = _places(old, order)
     normal[np.ix_(places, places)] = found.normal
-    return state, order, normal, columns, part.whitened(raw)
+    return normal, columns, part.whitened(raw)
 
 
-def _places(old: fitting.Layout, new: fitting.Layout) -> Array:
+def _places(old: fitting.Layout, new: fitting.Layout) -> Indices:
     """Where the parameters of a smaller layout stand in a larger one."""
     starts = [0, *old.zeros, *old.nuisances, *old.terms, old.size]
     targets = [0, *new.zeros[:-1], *new.nuisances[:-1], *new.terms, new.size]
@@ -166,8 +166,10 @@ def _on_shaker(template: Sines) -> Iterator[Option]:
         (f"axis {others[1]}", "what goes with the cube turns with it", others[1], ("full", "quarter"), band, 24, 1.0),
     ):
         minutes = MINUTES_MOUNT + points * len(levels) * (seconds + 1.6) / 60.0
-        document = {"procedure": "frequency_sweep", "axis": of, "start": f"{limits[0]:g} Hz", "stop": f"{limits[1]:g} Hz",
-                    "points": points, "levels": list(levels), "record": f"{seconds:g} s"}  # fmt: skip
+        document = {
+            "procedure": "frequency_sweep", "axis": of, "start": f"{limits[0]:g} Hz", "stop": f"{limits[1]:g} Hz",
+            "points": points, "levels": list(levels), "record": f"{seconds:g} s",
+        }  # fmt: skip
         yield Option(name, why, minutes, document, _sweep(template, of, levels, limits, points, seconds))
     later = {"title": "The same sweep ten minutes later",
              "steps": [{"wait": "600 s"}, {"procedure": "frequency_sweep", "axis": axis}]}  # fmt: skip
@@ -201,7 +203,7 @@ def swept(
     along = np.zeros((len(f), ORDERS), np.complex128)
     along[:, 1] = target
     along[:, 2:] = ASIDE * target[:, None]
-    begin = float(data.end.max()) + 60.0 + later + np.arange(len(f)) * (seconds + 1.6)
+    begin = np.asarray(float(data.end.max()) + 60.0 + later + np.arange(len(f)) * (seconds + 1.6), np.float64)
     channels = data.channels
     lines = np.zeros((len(channels.names), len(f), LINES))
     at = np.concatenate([f[:, None] * np.arange(ORDERS), np.full((len(f), LINES - ORDERS), data.mains)], axis=1)
@@ -213,9 +215,9 @@ def swept(
         data, name=f"next {axis}", axis=axis, observed=np.zeros(lines.shape, np.complex128),
         before=np.zeros(lines.shape, np.complex128), variance=lines, shown=along, gated=along,
         outliers=np.zeros((len(f), 2)), reference_variance=_reference_noise(data, f, seconds),
-        frequency=f, nominal=f, begin=begin, end=begin + seconds, index=np.arange(len(f)),
+        frequency=f, nominal=f, begin=begin, end=np.asarray(begin + seconds, np.float64), index=np.arange(len(f)),
         level=tuple(levels[int(k)] for k in (order // points)), usable=np.ones((len(channels.names), len(f)), np.bool_),
-        source=np.interp(f, np.sort(data.frequency), data.source[np.argsort(data.frequency)]) * 1.0,
+        source=np.interp(f, np.sort(data.frequency), data.source[np.argsort(data.frequency)]),
         scale=np.full(len(f), float(np.median(data.scale[data.scale > 0.0]))),
         temperature=np.linspace(*_range(data.temperature), len(f)) + warmer,
         supply=np.linspace(*_range(data.supply), len(f)), directions=directions(axis), leftovers=(), notes=(),
@@ -237,7 +239,7 @@ def _reference_noise(data: SineRecords, f: Array, seconds: float) -> Array:
 
 def _on_turntable(template: Turning) -> Iterator[Option]:
     data = template.data
-    axis = "yaw pitch roll".split()[int(np.argmax(np.abs(data.up[[1, 2, 0], 0])))]
+    axis = ["yaw", "pitch", "roll"][int(np.argmax(np.abs(data.up[[1, 2, 0], 0])))]
     radius = float(data.radius[0])
     wider = 0.1 if radius < 0.08 else 0.05
     minutes = MINUTES_MOUNT + data.observed.shape[1] * data.interval / 60.0
@@ -245,7 +247,8 @@ def _on_turntable(template: Turning) -> Iterator[Option]:
     yield Option("repeat", "more of the same", minutes, run, lambda: Turning(data))
     yield Option(
         "second radius", "what follows the centripetal force parts from what follows the rate squared", minutes,
-        {**run, "radius": f"{wider * 1000:g} mm"}, lambda: Turning(replace(data, radius=np.full_like(data.radius, wider))),
+        {**run, "radius": f"{wider * 1000:g} mm"},
+        lambda: Turning(replace(data, radius=np.full_like(data.radius, wider))),
     )  # fmt: skip
     yield Option(
         "turned by 90°", "radial and tangential axes change places", minutes, {**run, "angle": "90°"},

@@ -2,9 +2,9 @@
 
 Every part (a mounting on the shaker, a turntable run) predicts whitened rows; the sum of squares of what is left, plus
 that of the priors in their standard deviations, is minimised by Gauss–Newton (GUM with type A and type B information
-combined; JCGM 100 5.2, generalised least squares). Sensitivity and pole of a channel are common to all parts, its zero
-output belongs to each. Columns of the channels' own parameters are kept block by block, so that a long run costs no more
-than its rows.
+combined; JCGM 100 5.2, generalised least squares). Sensitivity and pole of a channel are common to all parts, its
+zero output belongs to each. Columns of the channels' own parameters are kept block by block, so that a long run costs
+no more than its rows.
 """
 
 from __future__ import annotations
@@ -206,9 +206,7 @@ def residual(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | None 
         return _left(parts, state, [p.whitened(raw) for p, raw in zip(parts, raws, strict=True)], use)
 
 
-def _left(
-    parts: Sequence[Part], state: State, white: Sequence[Array], use: NDArray[np.bool_] | None
-) -> Array:
+def _left(parts: Sequence[Part], state: State, white: Sequence[Array], use: NDArray[np.bool_] | None) -> Array:
     rows = [p.target - w - p.extra @ x for p, w, x in zip(parts, white, state.nuisance, strict=True)]
     whole = np.concatenate(rows)
     return whole if use is None else whole * use

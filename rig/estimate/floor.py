@@ -1,9 +1,10 @@
 """The bench's own floor: smooth ripple of mounting and reference that no effect of the sensor explains.
 
-Several mountings of the same unit differ by more than noise: adhesive, transverse motion and optics change the response
-a little, smoothly over frequency. The floor is the size of that ripple, relative, and its length in log frequency, found
-from the differences between three or more mountings by maximum likelihood (a Gaussian process per channel and part of
-the complex response; Rasmussen and Williams 2006, ch. 2). It is carried by every fit as a nuisance of that size.
+Several mountings of the same unit differ by more than noise: adhesive, transverse motion and optics change the
+response a little, smoothly over frequency. The floor is the size of that ripple, relative, and its length in log
+frequency, found from the differences between three or more mountings by maximum likelihood (a Gaussian process per
+channel and part of the complex response; Rasmussen and Williams 2006, ch. 2). It is carried by every fit as a nuisance
+of that size.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -116,7 +118,7 @@ def _likelihood(table: _Table, size: float, length: float) -> float:
     share = 1.0 - 1.0 / m
     noise = np.diag(table.variance) * share
     whole = noise + size**2 * share * np.exp(-0.5 * (distance / length) ** 2)
-    rows = np.concatenate([table.relative.real, table.relative.imag]) 
+    rows = np.concatenate([table.relative.real, table.relative.imag])
     degrees = 2.0 * (m - 1)
     scatter = rows.T @ rows / (2.0 * m)  # its expectation is the covariance with the share above
     gain = 0.0

@@ -78,7 +78,9 @@ def _clock(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[Finding]
     if not ratios or "clock_ratio" not in shelf:
         return
     error = -float(np.median(np.concatenate(ratios)))
-    because = f"every driven frequency is {error * 1e6:+.0f} ppm off by the converter's clock, stated ± {CLOCK * 1e6:.0f}"
+    because = (
+        f"every driven frequency is {error * 1e6:+.0f} ppm off by the converter's clock, stated ± {CLOCK * 1e6:.0f}"
+    )
     yield Finding(Term(shelf["clock_ratio"], None, {"error": error}), {"error": CLOCK}, (error / CLOCK) ** 2, because)
 
 

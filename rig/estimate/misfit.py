@@ -147,7 +147,7 @@ def _number(value: float) -> float | None:
 
 
 def _noises(table: Table) -> Array:
-    """Sum of variances of the independent noise, referred to the input by the data sheet, SI², and of how many numbers, (c, 2)."""
+    """Sum of variances of the noise, referred to the input by the data sheet, SI², and of how many numbers, (c, 2)."""
     sensitivity = table.part.channels.sensitivity
     if isinstance(table.part, Sines):
         return _line_noises(table.part, sensitivity, table.used)
@@ -205,7 +205,7 @@ def _same(one: Cell, other: Cell) -> bool:
     """Whether a cell shows the component of another, or mostly in rows that are of that too."""
     if one.table.part.place != other.table.part.place:
         return False
-    if one.component == other.component or _means(one) and _means(other):
+    if one.component == other.component or (_means(one) and _means(other)):
         return True
     there = one.table.components.get(other.component)
     if there is None:

@@ -24,6 +24,8 @@ CLEAR = 12.0  # χ² that a law must remove to be worth saying
 ALIKE = 9.0  # χ² within which laws cannot be told apart
 MOST_ALIKE = 3
 SMOOTH = 2.0  # s, about one revolution
+COARSE = 0.1  # of the driven line: a misfit beyond which laws are fitted to its logarithm
+CLEARLY = 100.0  # standard deviations that a line must have for its logarithm
 HIDDEN = 1e-6  # share of a shape's square that the fit must leave for it to be told apart
 FREQUENCY: Mapping[int, str] = {
     0: "the same at all frequencies", 1: "grows as f", 2: "grows as f²", -1: "falls as 1/f", -2: "falls as 1/f²",
@@ -60,6 +62,8 @@ class Law:
 def laws(found: Fit, one: Cell) -> list[Law]:
     """Laws for the component of a cell, in its channels, the best first."""
     part, number = one.table.part, one.table.number
+    if isinstance(part, Sines) and one.component in ("magnitude", "phase") and _coarse(found, one):
+        return _coarse_laws(found, one)
     shapes = _sine_shapes(found, one) if isinstance(part, Sines) else _turning_shapes(part, one.component)
     mask = one.table.components[one.component] if isinstance(part, Turning) else None
     covariance = found.covariance
@@ -73,6 +77,59 @@ def laws(found: Fit, one: Cell) -> list[Law]:
         }
         made.append(Law(shape.words, {one.table.names[row]: gain for row, gain in gains.items()}))
     return sorted(made, key=lambda law: -law.gain)
+
+
+def _coarse(found: Fit, one: Cell) -> bool:
+    """Whether the driven line misses its prediction by so much that nothing is straight any more."""
+    ratio = _against(found, one)[list(one.rows)]
+    return bool(np.nanmax(np.abs(ratio - 1.0), initial=0.0, where=np.isfinite(ratio)) > COARSE)
+
+
+def _against(found: Fit, one: Cell) -> NDArray[np.inexact]:
+    """Driven line, observed ÷ predicted, where the noise is below a hundredth of it, else NaN; (c, p).
+
+    What is known of the bench is taken as stated: a misfit that large has bent it.
+    """
+    part, number = one.table.part, one.table.number
+    assert isinstance(part, Sines)
+    stated = [term.moved(**dict.fromkeys(term.prior, 0.0)) for term in found.state.terms]
+    wanted = part.raw(found.state.local(found.parts[number], number), stated)[..., 1]
+    seen = part.data.observed[..., 1]
+    with np.errstate(all="ignore"):
+        clear = part.data.usable & (np.abs(seen) > CLEARLY * np.sqrt(part.data.variance[..., 1]))
+        return np.where(clear, seen / wanted, np.nan)
+
+
+def _coarse_laws(found: Fit, one: Cell) -> list[Law]:
+    """Laws of the logarithm of observed ÷ predicted, whose real part is the magnitude and imaginary part the phase.
+
+    Weighted least squares of one coefficient; of the magnitude less its mean, which the sensitivity takes up.
+    """
+    part = one.table.part
+    assert isinstance(part, Sines)
+    logarithm = np.log(_against(found, one))
+    unit = _of_driven(found, one, np.ones(len(part.data.frequency)), one.component)[..., 1]
+    made = []
+    for shape in _sine_shapes(found, one):
+        gains = {}
+        for row in one.rows:
+            good = np.isfinite(logarithm[row])
+            y = (logarithm[row].real if one.component == "magnitude" else logarithm[row].imag)[good]
+            v = np.asarray((shape.raws[0][row, :, 1][good] / unit[row][good]).real)
+            weight = np.abs(part.data.observed[row, good, 1]) ** 2 / part.data.variance[row, good, 1]
+            gains[one.table.names[row]] = _weighted_gain(y, v, weight, centred=one.component == "magnitude")
+        made.append(Law(shape.words, gains))
+    return sorted(made, key=lambda law: -law.gain)
+
+
+def _weighted_gain(y: Array, v: Array, weight: Array, *, centred: bool) -> float:
+    """χ² that c·v takes from y; all (n,)."""
+    if not len(y):
+        return 0.0
+    if centred:
+        y, v = (x - np.average(x, weights=weight) for x in (y, v))
+    square = float(weight @ v**2)
+    return float(weight @ (y * v)) ** 2 / square if square > HIDDEN * float(weight.sum()) else 0.0
 
 
 def _besides(found: Fit, one: Cell) -> list[NDArray[np.inexact]]:

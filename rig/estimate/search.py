@@ -53,6 +53,7 @@ class Candidate:
     def name(self) -> str:
         return self.term.effect.name
 
+
 def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
     """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
     places = {part.place for part in found.parts}
@@ -122,7 +123,9 @@ def _scored(sight: _Sight, term: Term) -> Score:
     for start in starts:
         one = _from(sight, term.moved(**start))
         if one.gain > best.gain:
-            best = replace(one, visible=max(one.visible, best.visible), steps=len(starts), size=max(one.size, best.size))
+            best = replace(
+                one, visible=max(one.visible, best.visible), steps=len(starts), size=max(one.size, best.size)
+            )
         else:
             best = replace(best, visible=max(one.visible, best.visible), size=max(one.size, best.size))
     return best
@@ -217,9 +220,7 @@ def _quickly(found: Fit, score: Score) -> Candidate:
                      dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size)  # fmt: skip
 
 
-def _readjusted(
-    sight: _Sight, state: fitting.State, order: fitting.Layout, size: int
-) -> tuple[fitting.State, Array]:
+def _readjusted(sight: _Sight, state: fitting.State, order: fitting.Layout, size: int) -> tuple[fitting.State, Array]:
     """The model's own parameters moved to where the candidate's start wants them."""
     found = sight.found
     left = fitting.residual(found.parts, state, found.use)
@@ -239,9 +240,7 @@ def _gradient(sight: _Sight, state: fitting.State, left: Array) -> Array:
 
 def _candidate_columns(found: Fit, state: fitting.State) -> Array:
     *others, term = state.terms
-    columns = [
-        fitting.term_columns(part, state.local(part, n), others, term) for n, part in enumerate(found.parts)
-    ]
+    columns = [fitting.term_columns(part, state.local(part, n), others, term) for n, part in enumerate(found.parts)]
     whole = np.concatenate(columns)
     return whole if found.use is None else whole * found.use[:, None]
 

@@ -14,7 +14,6 @@ from rig import noise, tone, units
 from rig.estimate.channels import channels_of
 from rig.estimate.conditions import smoothed
 from rig.estimate.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
-from rig.model import Channels
 from rig.motion import ORDERS
 from rig.records import Recorded, Signals, mounts, reference, signals
 from rig.spectrum import Density, log_bins
@@ -186,12 +185,14 @@ def _record(
     step = float(np.diff(np.sort(found.skew))[0]) if len(found.skew) > 1 else 0.0
     names = list(found.names)
     free = np.array([not found.clipped.get(name) for name in names])
+    taken = _taken(np.asarray(at, np.float64), point, resolution)
+    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], taken)
     return _Record(
         begin=begin,
         seconds=count / found.rate,
         lines=lines,
         usable=free,
-        leftover=Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], _taken(at, point, resolution)),
+        leftover=leftover,
         temperature=_mean(found, "temperature", 100.0),
         supply=_mean(found, "supply", 1.0),
         before=_before(lines, point, mains, step),
@@ -252,7 +253,9 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         before=np.asarray(np.array([one.before[rows] for one in whole]).transpose(1, 0, 2)),
         variance=_variances(densities, whole, observed, mains),
         noise=models,
-        shown=np.nan_to_num([np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]),
+        shown=np.nan_to_num(
+            [np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]
+        ),
         gated=np.nan_to_num([one.gated for one in whole]),
         outliers=np.array([one.outliers for one in whole]),
         reference_variance=np.array([one.reference_variance for one in whole]),
@@ -273,6 +276,13 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         leftovers=tuple(_only(one.leftover, rows) for one in whole),
         notes=tuple(f"{p.run} point {p.index}: {flag}" for p in points if p is not None for flag in p.flags),
     )
+
+
+def _shown(point: SinePoint | None) -> Complexes:
+    """Harmonics 0 … 5 of the acceleration that the reference shows, none at rest."""
+    if point is None:
+        return np.zeros(ORDERS, np.complex128)
+    return np.concatenate([[0.0], point.acceleration])
 
 
 def _only(leftover: Leftover, rows: NDArray[np.intp]) -> Leftover:

@@ -1,7 +1,7 @@
-"""Sine records as a model sees them: harmonics of every channel at every point, whitened by the noise they really have.
+"""Sine records as a model sees them: harmonics of every channel at every point, whitened by the noise they have.
 
-Observed are, for every channel and record, the mean, the complex amplitudes of the harmonics 1 … 5, and those at one and
-three times the mains frequency. What makes them uncertain:
+Observed are, for every channel and record, the mean, the complex amplitudes of the harmonics 1 … 5, and those at one
+and three times the mains frequency. What makes them uncertain:
 
 - the sensor's noise, whose density comes from what the fits of all records leave over, at the frequency that matters;
 - the reference's noise, which all channels that follow the drive share: the channels of one harmonic are whitened
@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,9 +31,9 @@ HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
 
 @dataclass(frozen=True)
 class Leftover:
-    """What the fit of one record left over: amplitudes at multiples of `resolution` Hz, V, (f, c), and of the reference.
+    """What the fit of one record left over: amplitudes at multiples of `resolution` Hz, V, (f, c).
 
-    `taken` marks lines that the fit has emptied.
+    `reference` is that of the reference; `taken` marks lines that the fit has emptied.
     """
 
     begin: float
@@ -46,9 +47,9 @@ class Leftover:
 class SineRecords:
     """What was recorded in one mounting, p records of c channels, records at rest among them (`index` −1).
 
-    `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown` complex
-    acceleration of the drive that the reference shows, m/s², (p, 6), with `reference_variance` (p, 6) of each part,
-    (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers` tells,
+    `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown`
+    complex acceleration of the drive that the reference shows, m/s², (p, 6), with `reference_variance` (p, 6) of each
+    part, (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers` tells,
     (p, 2). `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
     """
 
@@ -99,7 +100,7 @@ class Sines:
     def rows(self) -> int:
         """Numbers compared: one for each mean, two for each line."""
         c, p = self.data.usable.shape
-        return c * p * (2 * LINES - 1)
+        return int(c * p * (2 * LINES - 1))
 
     @cached_property
     def reference(self) -> Motion:
@@ -160,7 +161,7 @@ class Sines:
             if len(used):
                 since = float(data.begin.min())  # numbers near the clock's own size would lose their last digits
                 covariance = model.covariance(data.begin[used] - since, data.end[used] - since)
-                found[np.ix_([c], used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
+                found[c][np.ix_(used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
         return found
 
     @cached_property
@@ -187,7 +188,7 @@ class Sines:
         found[..., : ORDERS - 1] = response * np.sqrt(np.nan_to_num(data.reference_variance[:, 1:]))
         return found
 
-    def whitened(self, raw: Complexes) -> Array:
+    def whitened(self, raw: NDArray[np.inexact]) -> Array:
         """Lines in standard deviations, (rows,) for (c, p, LINES), (rows, k) for (k, c, p, LINES)."""
         single = raw.ndim == 3
         stack = np.nan_to_num(raw[None] if single else raw)
@@ -198,7 +199,7 @@ class Sines:
         found = np.concatenate([means[..., None], both.reshape(k, c, p, -1)], axis=-1).reshape(k, -1)
         return np.asarray(found[0] if single else found.T)
 
-    def each_channel(self, raw: Complexes) -> Array:
+    def each_channel(self, raw: NDArray[np.inexact]) -> Array:
         """Whitened columns of a change that is every channel's own, (rows, c)."""
         c = len(raw)
         apart = np.zeros((c, *raw.shape), np.complex128)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -90,9 +91,7 @@ def _names(records: Recorded) -> list[str]:
     return [name for name in cables if name in sensors or name in ("supply", "temperature")]
 
 
-def _windows(
-    records: Recorded, block: str, names: Sequence[str]
-) -> tuple[Array, float, float, float, dict[str, int]]:
+def _windows(records: Recorded, block: str, names: Sequence[str]) -> tuple[Array, float, float, float, dict[str, int]]:
     """Means (names, n) V, start s, interval between scans s, mean delay of the sensors in the scan s, clipped."""
     sums: list[Array] = []
     start = interval = skew = 0.0
@@ -146,7 +145,7 @@ def _moving(
 
 
 def _restored(edges: Edges) -> tuple[Array, NDArray[np.intp]]:
-    """Times of all lines, those put back in the middle of a gap of twice the local interval, and how many after each."""
+    """Times of all lines, and how many were put back after each: where a gap is twice the local interval."""
     gaps = np.diff(edges.times)
     padded = np.pad(gaps, LOCAL, mode="reflect")
     local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * LOCAL + 1), axis=1)
@@ -194,9 +193,7 @@ def _shown(edges: Edges, bounds: Array, steady: bool) -> tuple[Shown, slice]:
     return Shown(*found), slice(first, stop)
 
 
-def _cleared(
-    rate: Array, acceleration: Array, width: float, u_time: float, smooth: float
-) -> tuple[Array, Array]:
+def _cleared(rate: Array, acceleration: Array, width: float, u_time: float, smooth: float) -> tuple[Array, Array]:
     """Rate and acceleration without what is only the timing noise of the lines.
 
     Noise in what a model takes as given makes every fitted sensitivity too small (errors in variables). The lines of a
@@ -255,7 +252,7 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
     interval = WINDOW * _scan_period(records)
     lengths = [one.means.shape[1] for one in found]
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
-    slices = tuple(zip(bounds[:-1], bounds[1:], strict=True))
+    slices = tuple(itertools.pairwise(bounds))
     names = _names(records)
     means = np.concatenate([one.means for one in found], axis=1)
     sensors = np.array([names.index(n) for n in channels.names])
@@ -290,6 +287,7 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
         supply=smoothed(time, _logged(means, names, "supply", 1.0)),
         gravity=reference(records, "gravity", "gravity").value,
         usable=np.array([n not in clipped for n in channels.names]),
+        resting=interval * sum(n for one, n in pairs if one.kind == "rest"),
         notes=tuple(note for one in found for note in one.notes),
     )
 

@@ -21,8 +21,8 @@ from rig.motion import Array, Motion, Stretches
 from rig.noise import NoiseModel
 
 SETTLING = 14  # windows at either end of a record of a moving platter, where its acceleration is not well known
-# Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled edges
-# leave patterns that the encoder's second and first derivative cannot tell from motion
+# Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled
+# edges leave patterns that the encoder's second and first derivative cannot tell from motion
 HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
 INVERSIONS = 3  # of shown into true angle; each gains a factor of the error's size
 HELD_OUT = 3  # every third stretch is not fitted when a model is judged
@@ -69,6 +69,7 @@ class TurnRecords:
     supply: Array
     gravity: float
     usable: NDArray[np.bool_]  # (c,)
+    resting: float  # s at rest, from which the noise is known
     notes: tuple[str, ...] = ()
 
 
@@ -161,7 +162,7 @@ class Turning:
         means, lines = [], []
         for begin, count, pieces, scale in self._together:
             table = raw[:, begin : begin + count * pieces].reshape(len(raw), pieces, count)
-            turned = dct(table, type=2, norm="ortho", axis=2)
+            turned: Array = dct(np.asarray(table, np.float64), type=2, norm="ortho", axis=2)
             means.append(turned[..., 0] / np.sqrt(count))
             lines.append((turned[..., 1:] * scale).reshape(len(raw), -1))
         first = np.einsum("cst,ct->cs", self._means, np.concatenate(means, axis=1))

@@ -124,7 +124,7 @@ def test_a_fit_starts_with_every_coordinate_named(name: str) -> None:
     effect = effect_of(name)
     for place in effect.places:
         starts = effect.starts(MOTIONS[place](), next(iter(effect.quantities), None))
-        assert starts
+        assert starts or name == "saturation"  # nothing swings to saturate there
         assert all(set(start) == {c.name for c in effect.coordinates} for start in starts)
 
 

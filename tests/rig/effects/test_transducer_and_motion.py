@@ -27,7 +27,7 @@ from rig.effects.temperature_bias import TemperatureBias
 from rig.effects.transverse_motion import TransverseMotion
 from rig.effects.warm_up import WarmUp
 from rig.model import Array, Channels, Effect, Motion, Periods, Quantity, Stretches
-from rig.motion import PHASES
+from rig.motion import FINE, PHASES
 
 G = 10.0  # m/s², easy to reckon with
 X, Y, Z = np.eye(3)
@@ -68,9 +68,9 @@ def channels(*axis: int, rates: bool = False, side: float = math.nan) -> Channel
 
 def line(effect: Effect, at: dict[str, float], order: int, amplitude: float) -> complex:
     """Harmonic of amplitude·cos through a characteristic."""
-    u = (amplitude * np.cos(PHASE + 0.001))[None, None, :]
-    found = effect.transduce(u, shaken(80.0), at)
-    return complex(np.mean(found * np.exp(-1j * order * (PHASE + 0.001))) * (2.0 if order else 1.0))
+    phase = 2.0 * math.pi * np.arange(FINE) / FINE + 0.001
+    found = effect.transduce((amplitude * np.cos(phase))[None, None, :], shaken(80.0), at)
+    return complex(np.mean(found * np.exp(-1j * order * phase)) * (2.0 if order else 1.0))
 
 
 @pytest.mark.parametrize(

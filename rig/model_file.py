@@ -41,6 +41,7 @@ from rig.model import BOTH, Effect, Quantity, Term
 if TYPE_CHECKING:
     from rig.estimate.evidence import Evidence
     from rig.estimate.fit import Fit
+    from rig.estimate.parameters import Estimate
 
 Start = Literal["datasheet", "paper"]
 Action = Literal["start", "add", "remove", "fit"]
@@ -364,11 +365,18 @@ def _entry(fit: Fit, number: int, formulas: Mapping[str, Entry], known: Mapping[
             c.name: Coordinate(value=_short(term.at[c.name], DIGITS), u=_short(u[c.name]) if c.name in u else None)
             for c in term.effect.coordinates
         },
-        parameters={
-            name: Value(value=_short(one.value, DIGITS), unit=one.unit, u=None if one.u is None else _short(one.u))
-            for name, one in estimates(term, covariance).items()
-        },
+        parameters=_parameters(estimates(term, covariance)),
     )
+
+
+def _parameters(found: Mapping[str, Estimate]) -> dict[str, Value]:
+    """Parameters for the file; none of them where one is not finite, as a corner is without a filter."""
+    if not all(math.isfinite(one.value) for one in found.values()):
+        return {}
+    return {
+        name: Value(value=_short(one.value, DIGITS), unit=one.unit, u=None if one.u is None else _short(one.u))
+        for name, one in found.items()
+    }
 
 
 def _covariance(fit: Fit, numbers: Sequence[int], known: Mapping[str, Mapping[str, float]]) -> Covariance:

@@ -46,7 +46,8 @@ class Estimate:
     u: float | None
 
     def as_json(self) -> dict[str, float | str | None]:
-        return {"value": self.value, "unit": self.unit, "u": self.u}
+        """SI; null for a number that is not finite."""
+        return {"value": self.value if math.isfinite(self.value) else None, "unit": self.unit, "u": self.u}
 
     @property
     def text(self) -> str:

@@ -49,8 +49,8 @@ class SineRecords:
 
     `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown`
     complex acceleration of the drive that the reference shows, m/s², (p, 6), with `reference_variance` (p, 6) of each
-    part, (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers` tells,
-    (p, 2). `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
+    part, (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers`
+    tells, (p, 2). `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
     """
 
     name: str

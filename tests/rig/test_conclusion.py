@@ -1,4 +1,4 @@
-"""What a diagnosis says: a verdict with reasons, probabilities that claim no more than is known, and its blind spots."""
+"""What a diagnosis says: a verdict with reasons, probabilities that claim no more than is known, and blind spots."""
 
 from __future__ import annotations
 

@@ -6,8 +6,6 @@ much χ² held-out rows keep, what the repaired model makes of a fresh run, whet
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -28,6 +26,7 @@ from rig.estimate import search
 from rig.estimate.diagnose import Diagnosis, diagnose
 from rig.estimate.evidence import Evidence, evidence_of
 from rig.estimate.fit import Fit
+from rig.estimate.floor import floor_of, with_floor
 from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 
@@ -75,21 +74,11 @@ def _tried(answer: Answer, world: World, case: Case) -> dict[str, Any]:
 def _evidence(answer: Answer, world: World) -> tuple[Evidence, float]:
     """Evidence of the standard run (after one of remounts where the floor is wanted), and when its record began."""
     if answer.table == "ripple":
-        floor = floor_of([worlds.remounted(world)])
+        floor = floor_of(evidence_of([worlds.remounted(world)]))
         records = worlds.measured(world, answer.bench)
-        return evidence_of([records], floor=floor), worlds.first_record(records, world)  # type: ignore[call-arg]
+        return with_floor(evidence_of([records]), floor), worlds.first_record(records, world)
     records = worlds.measured(world, answer.bench)
     return evidence_of([records]), worlds.first_record(records, world)
-
-
-def floor_known() -> bool:
-    """Whether the program can measure the bench's own floor yet."""
-    return importlib.util.find_spec("rig.estimate.floor") is not None
-
-
-def floor_of(runs: Sequence[MemoryRecords]) -> Any:
-    """The bench's own floor as `rig floor` measures it from remounts."""
-    return importlib.import_module("rig.estimate.floor").floor_of(runs)
 
 
 def said(found: Diagnosis) -> dict[str, Any]:

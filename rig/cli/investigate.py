@@ -321,7 +321,7 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
         name, on = taken
         _pause(yes, f"rig add {name}", words)
         ctx.invoke(repair.add, effect=name, names=tuple(names), on=on, formula=None, **common)
-        ctx.invoke(repair.history, names=tuple(names), **common)
+        ctx.invoke(repair.history, names=tuple(names), model=None, effects=None, runs=runs, as_json=False)
     click.echo("\nnow see whether it was true; next: rig bench reveal")
 
 

@@ -10,7 +10,7 @@ from rig.model import Array, Coordinate, Effect, Parameter, Values
 class EncoderEccentricity(Effect):
     stage = "reference"
     title = "eccentricity of the encoder's disk"
-    equation = "θ_shown = θ + ratio·sin(θ − direction)"
+    equation = "φ_shown = φ + ratio·sin(φ − direction), φ clockwise from the index"
     places = ("turntable",)
     coordinates = (Coordinate("sine", 3e-4), Coordinate("cosine", 3e-4))
     parameters = (
@@ -28,10 +28,10 @@ class EncoderEccentricity(Effect):
         return shown, at["sine"] * cosine - at["cosine"] * sine, -shown
 
     def physical(self, at: Values) -> dict[str, float]:
-        """ratio·sin(θ − d) = ratio·cos d·sin θ − ratio·sin d·cos θ."""
+        """With φ = −θ: ratio·sin(φ − d) = −(ratio·cos d·sin θ + ratio·sin d·cos θ), which φ shows too much."""
         ratio = math.hypot(at["sine"], at["cosine"])
-        return {"ratio": ratio, "direction": math.atan2(-at["cosine"], at["sine"]) % (2.0 * math.pi)}
+        return {"ratio": ratio, "direction": math.atan2(at["cosine"], at["sine"]) % (2.0 * math.pi)}
 
     def from_physical(self, values: Values) -> dict[str, float]:
         ratio, direction = values["ratio"], values["direction"]
-        return {"sine": ratio * math.cos(direction), "cosine": -ratio * math.sin(direction)}
+        return {"sine": ratio * math.cos(direction), "cosine": ratio * math.sin(direction)}

@@ -10,7 +10,7 @@ from rig.model import Array, Coordinate, Effect, Parameter, Values
 class EncoderSecondHarmonic(Effect):
     stage = "reference"
     title = "tilt or ellipticity of the encoder's disk"
-    equation = "θ_shown = θ + ratio·sin(2·(θ − direction))"
+    equation = "φ_shown = φ + ratio·sin(2·(φ − direction)), φ clockwise from the index"
     places = ("turntable",)
     coordinates = (Coordinate("sine", 5e-5), Coordinate("cosine", 5e-5))
     parameters = (
@@ -29,10 +29,10 @@ class EncoderSecondHarmonic(Effect):
         return shown, 2.0 * (at["sine"] * cosine - at["cosine"] * sine), -4.0 * shown
 
     def physical(self, at: Values) -> dict[str, float]:
-        """ratio·sin(2(θ − d)) = ratio·cos 2d·sin 2θ − ratio·sin 2d·cos 2θ."""
+        """With φ = −θ: ratio·sin 2(φ − d) = −(ratio·cos 2d·sin 2θ + ratio·sin 2d·cos 2θ)."""
         ratio = math.hypot(at["sine"], at["cosine"])
-        return {"ratio": ratio, "direction": 0.5 * math.atan2(-at["cosine"], at["sine"]) % math.pi}
+        return {"ratio": ratio, "direction": 0.5 * math.atan2(at["cosine"], at["sine"]) % math.pi}
 
     def from_physical(self, values: Values) -> dict[str, float]:
         ratio, direction = values["ratio"], values["direction"]
-        return {"sine": ratio * math.cos(2.0 * direction), "cosine": -ratio * math.sin(2.0 * direction)}
+        return {"sine": ratio * math.cos(2.0 * direction), "cosine": ratio * math.sin(2.0 * direction)}

@@ -12,7 +12,7 @@ ORDERS = tuple(range(1, 17))  # per turn: poles of usual motors, as far as ten p
 class MotorPickup(Effect):
     stage = "electronics"
     title = "pickup from the motor"
-    equation = "V += motor·amplitude·cos(order·θ + phase), motor = 1 while driven, else 0"
+    equation = "V += motor·amplitude·cos(order·φ + phase), φ clockwise from the index, motor 1 while driven, else 0"
     quantities = ("rate",)
     places = ("turntable",)
     coordinates = (
@@ -38,10 +38,10 @@ class MotorPickup(Effect):
         return np.broadcast_to(wave, (len(channels.names), *wave.shape))
 
     def physical(self, at: Values) -> dict[str, float]:
-        """amplitude·cos(nθ + phase) = cosine·cos nθ + sine·sin nθ."""
-        amplitude, phase = math.hypot(at["cosine"], at["sine"]), math.atan2(-at["sine"], at["cosine"])
+        """With φ = −θ: amplitude·cos(nφ + phase) = cosine·cos nθ + sine·sin nθ."""
+        amplitude, phase = math.hypot(at["cosine"], at["sine"]), math.atan2(at["sine"], at["cosine"])
         return {"amplitude": amplitude, "phase": phase, "order": at["order"]}
 
     def from_physical(self, values: Values) -> dict[str, float]:
         amplitude, phase = values["amplitude"], values["phase"]
-        return {"cosine": amplitude * math.cos(phase), "sine": -amplitude * math.sin(phase), "order": values["order"]}
+        return {"cosine": amplitude * math.cos(phase), "sine": amplitude * math.sin(phase), "order": values["order"]}

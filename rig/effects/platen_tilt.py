@@ -10,7 +10,7 @@ from rig.model import Coordinate, Effect, Motion, Parameter, Values
 class PlatenTilt(Effect):
     stage = "motion"
     title = "tilt of the turntable's axis"
-    equation = "f_out = g·tilt·cos(θ − direction), f_tan = −g·tilt·sin(θ − direction)"
+    equation = "f_out = g·tilt·cos(φ − direction), f_tan = g·tilt·sin(φ − direction), φ clockwise from the index"
     places = ("turntable",)
     coordinates = (Coordinate("cosine", 1e-3), Coordinate("sine", 1e-3))
     parameters = (
@@ -32,10 +32,10 @@ class PlatenTilt(Effect):
         return motion.with_force(motion.gravity * (motion.outward * out + motion.tangent * tan))
 
     def physical(self, at: Values) -> dict[str, float]:
-        """tilt·cos(θ − d) = tilt·cos d·cos θ + tilt·sin d·sin θ."""
-        direction = math.atan2(at["sine"], at["cosine"]) % (2.0 * math.pi)
+        """With φ = −θ: tilt·cos(φ − d) = tilt·cos d·cos θ − tilt·sin d·sin θ."""
+        direction = math.atan2(-at["sine"], at["cosine"]) % (2.0 * math.pi)
         return {"tilt": math.hypot(at["cosine"], at["sine"]), "direction": direction}
 
     def from_physical(self, values: Values) -> dict[str, float]:
         tilt, direction = values["tilt"], values["direction"]
-        return {"cosine": tilt * math.cos(direction), "sine": tilt * math.sin(direction)}
+        return {"cosine": tilt * math.cos(direction), "sine": -tilt * math.sin(direction)}

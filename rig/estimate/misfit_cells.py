@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 FAMILIES = ("unit_a", "unit_b", "unit_c", "gyro", "backup")
 STEADY = 0.02  # of the rate
 HIGHEST_ORDER = 3
+NOMINAL: Mapping[str, float] = {"16⅔": 50.0 / 3.0, "33⅓": 100.0 / 3.0, "45": 45.0, "78": 78.0}
+NEAR = 0.04  # of a nominal speed
 BESIDE = 2.5  # lines on either side of an order
 
 
@@ -234,9 +236,9 @@ def _cuts_of_turning(part: Turning) -> Iterator[Cut]:
     of, data = part.stretch_of, part.data
     rates, steady = _mean_rates(part), _steady(part)
     moving = rates != 0.0
-    rpm = np.round(np.abs(rates) * 30.0 / math.pi).astype(int)
-    for speed in sorted(set(rpm[steady].tolist())):
-        yield Cut("rate", f"at {speed} rpm", (steady & (rpm == speed))[of])
+    speeds = np.array([_speed(float(rate)) for rate in rates])
+    for speed in sorted(set(speeds[steady].tolist())):
+        yield Cut("rate", f"at {speed} rpm", (steady & (speeds == speed))[of])
     yield Cut("rate", "while it speeds up or coasts down", (moving & ~steady)[of])
     yield Cut("rate", "at rest", ~moving[of])
     inverted = np.array([_inverted(part, begin) for begin, _ in data.stretches])
@@ -246,6 +248,13 @@ def _cuts_of_turning(part: Turning) -> Iterator[Cut]:
     begins = np.array([data.time[b] for b, _ in data.stretches])
     for said, (_, mask) in zip(("early", "half-way", "late"), terciles(begins, np.isfinite(begins)), strict=False):
         yield Cut("time", said, mask[of])
+
+
+def _speed(rate: float) -> str:
+    """Nominal speed of a platter near this rate (rad/s) in rpm, or the rounded one if it is near none."""
+    rpm = abs(rate) * 30.0 / math.pi
+    near = [words for words, nominal in NOMINAL.items() if abs(rpm / nominal - 1.0) < NEAR]
+    return near[0] if near else f"{rpm:.0f}"
 
 
 def _inverted(part: Turning, window: int) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -313,7 +313,9 @@ def _density(whole: Sequence[_Record], row: int, mains: float) -> Density:
 
 def _slow(density: Density, pole: float, whole: Sequence[_Record], step: float) -> noise.NoiseModel:
     rate = whole[0].leftover.resolution * 2.0 * (len(whole[0].leftover.amplitude) - 1)
-    return noise.fit_density(density, rate, step=step, pole=pole)
+    model = noise.fit_density(density, rate, step=step, pole=pole)
+    # flicker that records of this length could hide is counted: few of them say little below a hertz
+    return replace(model, flicker=max(model.flicker, model.white * whole[0].leftover.resolution))
 
 
 def _variances(densities: Sequence[Density], whole: Sequence[_Record], observed: Complexes, mains: float) -> Array:

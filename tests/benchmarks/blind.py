@@ -44,9 +44,6 @@ def main() -> int:
     if asked.slice:
         return _sliced(Path(asked.slice))
     folder, tables = Path(asked.out), asked.only or list(blind_worlds.TABLES)
-    if "ripple" in tables and not blind_trials.floor_known():
-        print("ripple: left out, because the program cannot measure the bench's own floor yet")
-        tables = [one for one in tables if one != "ripple"]
     cases = blind_worlds.cases(asked.worlds, tables, asked.series)
     if asked.peers and not blind_peers.pysindy_there():
         print("found no pysindy, wanted it for --peers; next: make blind PEERS=1, which installs it")
@@ -59,9 +56,10 @@ def main() -> int:
         compared = [case for case in compared if not (folder / "peers" / f"{case.id}.json").exists()]
         _carried_out(partial(blind_peers.compared, folder=folder), compared, asked.processes, "shown to the peers")
     page = _page(folder)
-    (folder / "table.md").write_text(page, encoding="utf-8")
+    written = Path(asked.page) if asked.page else folder / "table.md"
+    written.write_text(page, encoding="utf-8")
     print(page)
-    print(f"next: read {folder / 'table.md'}; a world's answer and diagnosis are in {folder / 'results'}")
+    print(f"next: read {written}; a world's answer and diagnosis are in {folder / 'results'}")
     return 0
 
 
@@ -71,6 +69,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--out", default="runs/blind", metavar="FOLDER", help="where answers and results are kept")
     parser.add_argument("--only", action="append", choices=blind_worlds.TABLES, help="one table; may be repeated")
     parser.add_argument("--peers", action="store_true", help="also pysindy, lasso and forward selection")
+    parser.add_argument("--page", metavar="FILE", help="where the tables are written (table.md in the folder)")
     parser.add_argument("--series", default="1", help="another name draws other worlds")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="P", help="all cores")
     parser.add_argument("--slice", metavar="FILE", help="only draw the thirty worlds of the test suite anew")

@@ -175,7 +175,7 @@ def test_pickup_comes_so_many_times_per_turn_and_only_while_the_motor_is_driven(
     at = {"cosine": 3e-4, "sine": 4e-4, "order": 4.0}
     added = MotorPickup().added(motion, channels((2, 1), rates=True), at)
     assert added == pytest.approx(np.tile([3e-4, 4e-4, -3e-4, 3e-4, 0.0], (2, 1)))
-    assert MotorPickup().physical(at) == pytest.approx({"amplitude": 5e-4, "phase": -math.atan2(4, 3), "order": 4.0})
+    assert MotorPickup().physical(at) == pytest.approx({"amplitude": 5e-4, "phase": math.atan2(4, 3), "order": 4.0})
     assert MotorPickup().added(shaken(), channels(rates=True), at) is None
     orders = [start["order"] for start in MotorPickup().starts(motion, None)]
     assert orders[:12] == [float(n) for n in range(1, 13)]
@@ -222,11 +222,11 @@ def test_a_gain_step_starts_at_every_range_but_the_coarsest() -> None:
 
 def test_an_oval_disk_shows_too_much_twice_per_turn_with_its_derivatives() -> None:
     at = EncoderSecondHarmonic().from_physical({"ratio": 3e-4, "direction": 0.5})
-    angle = np.array([0.5, 0.5 + math.pi / 4, 0.5 + math.pi])
+    angle = -np.array([0.5, 0.5 + math.pi / 4, 0.5 + math.pi])  # the platter turns clockwise
     shown, slope, bend = EncoderSecondHarmonic().turned(angle, at)
-    assert shown == pytest.approx([0.0, 3e-4, 0.0], abs=1e-15)
+    assert shown == pytest.approx([0.0, -3e-4, 0.0], abs=1e-15)
     assert slope == pytest.approx([6e-4, 0.0, 6e-4], abs=1e-15)
-    assert bend == pytest.approx([0.0, -12e-4, 0.0], abs=1e-15)
+    assert bend == pytest.approx([0.0, 12e-4, 0.0], abs=1e-15)
 
 
 @pytest.mark.parametrize("effect", [*HOOKED, *UNHOOKED], ids=name_of)

@@ -16,6 +16,7 @@ from rig.estimate import instruments, search
 from rig.estimate.diagnose import chance
 from rig.estimate.evidence import Evidence, evidence_of
 from rig.estimate.fit import Fit
+from rig.estimate.floor import Floor, with_floor
 from rig.estimate.quality import error_of
 from rig.model import Effect, Quantity, Term
 from rig.model_file import OUTPUT_FILTER, Action, Entry, Model, Start, Step, load, terms_of, with_fit
@@ -44,10 +45,10 @@ class Repaired:
     remarks: tuple[str, ...] = ()
 
 
-def bench_of(records: Sequence[Recorded], shelf: Mapping[str, Effect]) -> Bench:
-    """Read the runs of one unit. Raises BadInput as `evidence_of` does."""
+def bench_of(records: Sequence[Recorded], shelf: Mapping[str, Effect], floor: Floor | None = None) -> Bench:
+    """Read the runs of one unit, with the bench's own floor if it is known. Raises BadInput as `evidence_of` does."""
     newest = max(entry.t for run in records for entry in run.lines)
-    return Bench(evidence_of(records), shelf, newest)
+    return Bench(with_floor(evidence_of(records), floor), shelf, newest)
 
 
 def model_at(path: Path, bench: Bench, start: Start | None) -> Model:

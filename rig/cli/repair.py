@@ -57,8 +57,9 @@ class Opened:
 
     @property
     def words(self) -> str:
-        """The runs as they were asked for, for the next command."""
-        return " ".join(self.names)
+        """The runs as they were asked for, for the next command, with the start of a model that is not kept yet."""
+        begun = self.path.exists() or self.model.start == "datasheet"
+        return " ".join([*self.names, *([] if begun else ["--start", self.model.start])])
 
     @property
     def figures(self) -> Path:
@@ -68,12 +69,13 @@ class Opened:
 
 def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, effects: Path | None) -> Opened:
     """Runs and model by the options that the commands share. Raises BadInput."""
+    from rig.estimate import floor
     from rig.model_file import path_of
     from rig.notebook import records_of
     from rig.repair import bench_of, model_at
     from rig.shelf import shelf
 
-    bench = bench_of(records_of(names, runs), shelf(effects))
+    bench = bench_of(records_of(names, runs), shelf(effects), floor.load(floor.path_of(runs)))
     path = model or path_of(runs, bench.evidence.serial)
     return Opened(bench, model_at(path, bench, start), path, tuple(names), runs)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from rig.estimate import adequacy
+from rig.estimate.describe import Description, describe
 from rig.estimate.diagnose import CHANCE, Choice, Diagnosis, Step, diagnose
 from rig.estimate.evidence import Evidence
 from rig.estimate.fit import POLE_TOLERANCE, Fit
@@ -148,7 +149,7 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         worst_after=error_at(diagnosis.final, at),
         verdict=diagnosis.verdict,
         candidates=tuple(found),
-        description=description(diagnosis) if diagnosis.verdict == "unlisted" else "",
+        description=description(evidence, diagnosis) if diagnosis.verdict == "unlisted" else "",
         cannot_see=cannot_see(evidence, diagnosis.scores, shelf, diagnosis.misplaced),
         error=error_of(diagnosis.base),
         heldout_error=heldout_error(evidence, diagnosis.base),
@@ -197,9 +198,9 @@ def _probability(diagnosis: Diagnosis, choice: Choice) -> float:
     return min(EVENS, choice.probability * min(max(diagnosis.explained, 0.0), 1.0))
 
 
-def description(diagnosis: Diagnosis) -> str:
-    """What an unlisted effect looks like: the nearest on the shelf, and where the rest stands out."""
-    said = [nearest(diagnosis)]
+def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
+    """What an unlisted effect looks like: the nearest on the shelf, its laws, and a formula to try as a term."""
+    said = [nearest(diagnosis), *_laws(describe(evidence, diagnosis.base))]
     groups = sorted((g for g in adequacy.groups(diagnosis.final) if g.z > adequacy.LIMIT), key=lambda g: -g.z)
     if groups:
         domains = dict.fromkeys(group.domain for group in groups)
@@ -209,6 +210,13 @@ def description(diagnosis: Diagnosis) -> str:
             f"most in {groups[0].channel} at {groups[0].domain}: {groups[0].ratio:.3g} times the noise"
         )
     return "; ".join(said)
+
+
+def _laws(found: Description) -> Iterator[str]:
+    """Domain, exponents, orders and parity in words, and how to try the formula."""
+    yield from found.words
+    if found.formula:
+        yield f"to try: rig add NAME RUN... --formula '{found.formula}' --on {found.on}"
 
 
 def nearest(diagnosis: Diagnosis) -> str:

@@ -130,6 +130,8 @@ def _likelihood(table: _Table, size: float, length: float) -> float:
 
 def with_floor(evidence: Evidence, floor: Floor | None) -> Evidence:
     """Evidence whose parts on the shaker carry the floor as nuisances."""
+    if evidence.sines:
+        evidence = replace(evidence, blind=(*evidence.blind, said(floor)))
     if floor is None or floor.size == 0.0:
         return evidence
     parts = tuple(_carrying(part, floor) if isinstance(part, Sines) else part for part in evidence.parts)

@@ -32,7 +32,7 @@ SMOOTH = 2.5  # Hz; a platter that starts or stops has no faster acceleration th
 WOW = 1.5  # Hz; a platter at a steady speed has lines only above this
 SLOW = 0.3  # Hz; slower motion is kept whole
 NEIGHBOURS = 40  # lines of a transform on either side
-KNOT = 12  # lines between knots of the track: fine enough for the motor's flutter
+KNOT = 48  # lines between knots of the track: wow passes, the patterns that sampled edges leave do not
 LOCAL = 15  # lines on either side whose median interval says how long one should take
 
 

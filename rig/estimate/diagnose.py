@@ -91,8 +91,9 @@ def diagnose(
     steps: list[Step] = []
     current = base
     first_scores: tuple[Score, ...] = ()
+    memory: search.Memory = {}
     for _ in range(MOST_STEPS):
-        step, scored = _step(evidence, current, shelf, steps)
+        step, scored = _step(evidence, current, shelf, steps, memory)
         first_scores = first_scores or scored
         if step is None:
             break
@@ -103,13 +104,13 @@ def diagnose(
 
 
 def _step(
-    evidence: Evidence, current: Fit, shelf: Mapping[str, Effect], before: Sequence[Step]
+    evidence: Evidence, current: Fit, shelf: Mapping[str, Effect], before: Sequence[Step], memory: search.Memory
 ) -> tuple[Step | None, tuple[Score, ...]]:
     there = {term.effect.name for term in current.state.terms if not term.prior}
     for finding in instruments.findings(evidence, shelf, there):
         if finding.evidence > FINDING:
             return _by_test(evidence, current, finding), ()
-    scored = search.scores(current, search.possible(shelf, current))
+    scored = search.scores(current, search.possible(shelf, current), memory)
     choices = _choices(current, scored)
     if not choices:
         return None, tuple(scored)

@@ -26,6 +26,10 @@ ROUNDS = 8
 SETTLED = 0.02  # of χ²
 
 
+Memory = dict[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""Columns by effect and start, in half the space: a score needs no more digits."""
+
+
 @dataclass(frozen=True)
 class Score:
     """A candidate before it is refitted: linear estimate and the decrease of χ² it promises."""
@@ -78,11 +82,12 @@ class _Sight:
     found: Fit
     inverse: Array
     raws: tuple[NDArray[np.inexact], ...]
+    memory: Memory
 
     @classmethod
-    def of(cls, found: Fit) -> _Sight:
+    def of(cls, found: Fit, memory: Memory | None = None) -> _Sight:
         raws = tuple(fitting.predicted(found.parts, found.state))
-        return cls(found, fitting.inverse(found.normal), raws)
+        return cls(found, fitting.inverse(found.normal), raws, {} if memory is None else memory)
 
     def cross(self, columns: Array) -> Array:
         """Products with the model's columns, (parameters, k)."""
@@ -92,7 +97,19 @@ class _Sight:
         return found
 
     def columns(self, term: Term) -> tuple[Array, Array]:
-        """Columns of a candidate at its coordinates, (rows, k), and what it changes there already, (rows,)."""
+        """Columns of a candidate at its coordinates, (rows, k), and what it changes there already, (rows,).
+
+        Those of an earlier step will do: a model that has one effect more has hardly other derivatives.
+        """
+        key = (term.key, *term.at.values())
+        if key in self.memory:
+            kept, before = self.memory[key]
+            return kept.astype(np.float64), before.astype(np.float64)
+        columns, shift = self._columns(term)
+        self.memory[key] = columns.astype(np.float32), shift.astype(np.float32)
+        return columns, shift
+
+    def _columns(self, term: Term) -> tuple[Array, Array]:
         found = self.found
         parts, moved = [], []
         for number, (part, raw) in enumerate(zip(found.parts, self.raws, strict=True)):
@@ -110,9 +127,9 @@ class _Sight:
         return whole, shift
 
 
-def scores(found: Fit, terms: Iterable[Term]) -> list[Score]:
-    """The best start of every candidate, most promising first."""
-    sight = _Sight.of(found)
+def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> list[Score]:
+    """The best start of every candidate, most promising first; `memory` keeps columns from one step to the next."""
+    sight = _Sight.of(found, memory)
     result = [_scored(sight, term) for term in terms]
     return sorted(result, key=lambda one: -one.gain)
 

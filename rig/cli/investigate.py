@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig.estimate.diagnose import Diagnosis
     from rig.estimate.experiments import Ranked
 
-MOST_ROUNDS = 6
+MOST_ROUNDS = 10
 STANDARD: tuple[dict[str, Any], ...] = (
     {"procedure": "frequency_sweep", "axis": "x"},
     {"procedure": "turntable", "all": True},
@@ -61,21 +61,23 @@ def next_(
     Power is the χ² between two rivals that is expected after the measurement; 16 decides. The procedure of the first is
     written as YAML.
     """
+    from rig.estimate.experiments import unmeasured
+
     work = opened(names, runs, model, start, effects)
     diagnosis = _diagnosed(work)
-    timed = [(one, _minutes(one, bench)) for one in _ranked(diagnosis)]
+    timed = [(one, _minutes(one, bench)) for one in _ranked(diagnosis, runs)]
     rows = [(one, minutes) for one, minutes in timed if minutes is not None]
+    lacking = unmeasured(work.bench.evidence)
     path = _written(rows[0][0], out or work.figures / "next.yaml") if rows else None
     if as_json:
-        print_json(_ranking_as_json(diagnosis, rows, path))
+        print_json(_ranking_as_json(diagnosis, rows, path, lacking))
         return
-    click.echo("\n".join(_ranking_text(diagnosis, rows)))
-    if path is None:
-        then = f"rig add {diagnosis.named[0]} {work.words}" if diagnosis.named else f"rig compare {work.words}"
-        click.echo(f"next: {then}")
-    else:
+    refused = [one for one, minutes in timed if minutes is None]
+    click.echo("\n".join([*_ranking_text(diagnosis, rows, refused), *_lacking_text(lacking)]))
+    if path is not None:
         click.echo(f"procedure: {path}")
-        click.echo(f"next: rig run {path}, then rig diagnose {work.words} last")
+    worth = path is not None and rows[0][0].helps
+    click.echo(f"next: {_next_after(diagnosis, work, model, path if worth else None, lacking)}")
 
 
 globals()["next"] = next_  # the command's name is a built-in function's
@@ -89,10 +91,30 @@ def _diagnosed(work: Opened) -> Diagnosis:
     return diagnose(work.bench.evidence, terms, shelf=work.bench.shelf, poles=work.model.poles)
 
 
-def _ranked(diagnosis: Diagnosis) -> list[Ranked]:
+def _next_after(
+    diagnosis: Diagnosis, work: Opened, model: Path | None, path: Path | None, lacking: Sequence[tuple[str, str]]
+) -> str:  # fmt: skip
+    """The commands that follow; the runs by name, because `last` will be another one."""
+    names = work.names if work.names == ("all",) else work.bench.evidence.runs
+    options = [*work.words.split()[len(work.names) :], *([] if model is None else ["--model", str(model)])]
+    words = " ".join([*names, *options])
+    if path is not None:
+        after = names if names == ("all",) else (*names, "last")
+        return f"rig run {path}, then rig diagnose {' '.join([*after, *options])}"
+    if diagnosis.verdict == "missing":
+        taken = diagnosis.steps[0].taken
+        on = f" --on {taken.term.on}" if taken.term.on and len(taken.term.effect.quantities) > 1 else ""
+        return f"rig add {taken.name} {words}{on}"
+    if diagnosis.verdict == "adequate" and lacking:
+        return lacking[0][1]
+    return f"rig {'fit' if diagnosis.verdict == 'adequate' else 'compare'} {words}"
+
+
+def _ranked(diagnosis: Diagnosis, runs: Path) -> list[Ranked]:
+    from rig.estimate import floor
     from rig.estimate.experiments import ranked
 
-    return ranked(diagnosis)
+    return ranked(diagnosis, floor.load(floor.path_of(runs)))
 
 
 def _minutes(one: Ranked, bench: Path | None) -> float | None:
@@ -130,7 +152,9 @@ def _written(one: Ranked, path: Path) -> Path:
     return path
 
 
-def _ranking_as_json(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]], path: Path | None) -> dict[str, Any]:
+def _ranking_as_json(
+    diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]], path: Path | None, lacking: Sequence[tuple[str, str]]
+) -> dict[str, Any]:  # fmt: skip
     return {
         "verdict": diagnosis.verdict,
         "named": list(diagnosis.named),
@@ -140,13 +164,19 @@ def _ranking_as_json(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]],
             for one, minutes in rows
         ],
         "procedure": None if path is None else str(path),
+        "unmeasured": [{"lacks": lacks, "command": command} for lacks, command in lacking],
     }  # fmt: skip
 
 
-def _ranking_text(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]]) -> list[str]:
+def _ranking_text(
+    diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]], refused: Sequence[Ranked]
+) -> list[str]:  # fmt: skip
+    if not rows and refused:
+        return [
+            f"open: {' and '.join(refused[0].pair)}, but this bench can do none of the measurements that might decide"
+        ]
     if not rows:
-        what = ", ".join(diagnosis.named)
-        return [f"nothing is open between two effects: {diagnosis.verdict}{f' {what}' if what else ''}"]
+        return [f"nothing is open between two effects: {_verdict_in_words(diagnosis)}"]
     width = max(len(one.option.name) for one, _ in rows)
     lines = [f"  {'measurement':<{width}}  {'power':>8}  {'minutes':>7}  between"]
     for one, minutes in rows:
@@ -156,41 +186,80 @@ def _ranking_text(diagnosis: Diagnosis, rows: Sequence[tuple[Ranked, float]]) ->
         return [*lines, f"first: {best.option.name} - {best.option.why}"]
     return [
         *lines,
-        f"none is expected to decide between {best.pair[0]} and {best.pair[1]} (a power of 16 would): on this bench "
-        "they are one class; the first is the best there is",
+        f"none is expected to decide between {best.pair[0]} and {best.pair[1]} (a power of 16 would): "
+        + ("the first helps, several of it may do" if best.helps else "on this bench they are one class"),
     ]
+
+
+def _verdict_in_words(diagnosis: Diagnosis) -> str:
+    what = " and ".join(diagnosis.named)
+    match diagnosis.verdict:
+        case "adequate":
+            return "the model leaves nothing but noise in these runs"
+        case "missing":
+            return f"what is missing is {what}"
+        case _:
+            return f"an effect that is on no shelf{f', nearest {what}' if what else ''}"
+
+
+def _lacking_text(lacking: Sequence[tuple[str, str]]) -> list[str]:
+    """What these runs cannot show, with the command that measures it."""
+    width = max((len(lacks) for lacks, _ in lacking), default=0)
+    rows = [f"  {lacks:<{width}}  {command}" for lacks, command in lacking]
+    return ["not measured yet, but this bench could:", *rows] if rows else []
 
 
 @click.command(short_help="Measure, compare, diagnose, and go on until adequate or undecidable.")
 @bench_option
 @click.option("--yes", is_flag=True, help="Do not ask before each step.")
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="Of the first sweep.")
+@click.option("--only", type=click.Choice(["shaker", "turntable"]), help="Use this half of the bench only.")
 @MODEL
 @START
 @EFFECTS
 @runs_option
 @json_option
 def investigate(
-    bench: Path | None, yes: bool, axis: str, model: Path | None, start: str | None, effects: Path | None, runs: Path,
-    as_json: bool,
+    bench: Path | None, yes: bool, axis: str, only: str | None, model: Path | None, start: str | None,
+    effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Close the loop on a bench: measure, compare, diagnose, add what is missing, measure what is still open.
 
     Every measurement is shown with its duration before it is taken. The loop ends when the model is adequate, when no
-    measurement of this bench would decide, or when you say no.
+    measurement of this bench would decide, or when you say no. What cannot be decided is said, and the likeliest taken.
+    Without a terminal, or with --json, it needs --yes.
     """
-    loop = _Loop(bench, yes or as_json, runs, model, start, effects, as_json)
-    for document in ({**STANDARD[0], "axis": axis}, STANDARD[1]):
-        if not loop.measured(document, "a standard run"):
+    _askable(yes, as_json)
+    loop = _Loop(bench, yes, runs, model, start, effects, as_json)
+    standard = {"shaker": {**STANDARD[0], "axis": axis}, "turntable": STANDARD[1]}
+    for place, document in standard.items():
+        if only in (None, place) and not loop.measured(document, "a standard run"):
             break
     verdict = loop.settled() if loop.names else "undecided"
     if as_json:
-        print_json({"verdict": verdict, "runs": loop.names, "effects": loop.added, "model": str(loop.path or "")})
+        kept = None if loop.path is None else str(loop.path)
+        print_json({"verdict": verdict, "runs": loop.names, "effects": loop.added, "undecided_between": loop.open,
+                    "model": kept})  # fmt: skip
     elif loop.names:
-        click.echo(f"verdict: {verdict}; effects in the model: {', '.join(loop.added) or 'none'}")
-        click.echo(f"next: rig history {' '.join(loop.names)}, rig compare {' '.join(loop.names)}")
+        click.echo(f"the end: {verdict}; added to the model: {', '.join(loop.added) or 'nothing'}; {loop.path}")
+        words = " ".join([*loop.names, *([] if model is None else ["--model", str(model)])])
+        click.echo(f"next: rig {'history' if verdict == 'adequate' else 'next'} {words}, rig compare {words}")
     else:
         click.echo("nothing was measured; next: rig sweep --axis x")
+
+
+def _askable(yes: bool, as_json: bool) -> None:
+    """Whether there is somebody to ask before a bench is set in motion. Raises BadInput."""
+    import sys
+
+    from rig.errors import BadInput
+
+    if yes:
+        return
+    if as_json:
+        raise BadInput("investigate: found --json, wanted --yes with it, as nobody is asked before a measurement")
+    if not sys.stdin.isatty():
+        raise BadInput("investigate: found no terminal to ask before a measurement, wanted one, or --yes")
 
 
 class _Loop:
@@ -204,7 +273,9 @@ class _Loop:
         self._model, self._start, self._effects = model, start, effects
         self.names: list[str] = []
         self.added: list[str] = []
+        self.open: list[list[str]] = []
         self.path: Path | None = None
+        self._tried: set[str] = set()
 
     def measured(self, document: dict[str, Any], why: str) -> bool:
         """Take one run, if it is wanted."""
@@ -228,16 +299,40 @@ class _Loop:
             diagnosis = _diagnosed(work)
             self._say(verdict_text(concluded(work.bench.evidence, diagnosis, work.bench.shelf)))
             if diagnosis.verdict != "missing":
+                self._keeps(work)
                 return diagnosis.verdict
-            rows = [one for one in _ranked(diagnosis) if one.decides and _minutes(one, self._bench) is not None]
-            worth = rows and rows[0].option.name not in ("repeat",)
-            if worth and self.measured(
-                dict(rows[0].option.document), f"to decide between {' and '.join(rows[0].pair)}"
-            ):
+            if self._decides(diagnosis):
                 continue
+            self._leaves_open(diagnosis)
             if not self._adds(work, diagnosis):
                 return "undecided"
         return "undecided"
+
+    def _decides(self, diagnosis: Diagnosis) -> bool:
+        """Take the first measurement that is expected to decide and was not taken yet; False if there is none."""
+        for one in _ranked(diagnosis, self._runs):
+            fresh = one.decides and one.option.name not in self._tried and _minutes(one, self._bench) is not None
+            if fresh:
+                self._tried.add(one.option.name)
+                return self.measured(dict(one.option.document), f"to decide between {' and '.join(one.pair)}")
+        return False
+
+    def _leaves_open(self, diagnosis: Diagnosis) -> None:
+        """Note the effects between which nothing was decided."""
+        from rig.estimate.experiments import rivals
+
+        names = list(dict.fromkeys(one.name for one in rivals(diagnosis)))
+        if len(names) > 1:
+            self.open.append(names)
+            self._say(f"not decided: {' or '.join(names)}; the first is the likeliest")
+
+    def _keeps(self, work: Opened) -> None:
+        """Write the model, refitted to all runs."""
+        from rig.model_file import save
+        from rig.repair import fitted
+
+        if set(work.model.runs) != set(work.bench.evidence.runs) or not work.path.exists():
+            save(work.path, fitted(work.bench, work.model).model)
 
     def _adds(self, work: Opened, diagnosis: Diagnosis) -> bool:
         from rig.model_file import save
@@ -307,33 +402,36 @@ def hidden(ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: P
 
 
 def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
-    """The steps that a person would take, one after another."""
+    """The steps that a person would take, one after another, on a model of this demonstration's own."""
     from rig.cli import repair
+    from rig.model_file import path_of
 
-    words, common = " ".join(names), {"model": None, "start": None, "effects": None, "runs": runs, "as_json": False}
-    click.echo(f"\nOne effect is hidden in this world. Two runs were taken: {words}")
-    _pause(yes, "rig compare", words)
-    ctx.invoke(repair.compare, names=tuple(names), **common)
-    _pause(yes, "rig diagnose", words)
-    ctx.invoke(repair.diagnose, names=tuple(names), **common)
-    taken = _taken(names, runs)
+    path = path_of(runs, f"demo-{names[0]}")
+    words = f"{' '.join(names)} --model {path}"
+    common = {"names": tuple(names), "model": path, "runs": runs, "as_json": False}
+    asking = {**common, "start": None, "effects": None}
+    click.echo(f"\nOne effect is hidden in this world. Two runs were taken: {' '.join(names)}")
+    _pause(yes, f"rig compare {words}")
+    ctx.invoke(repair.compare, **asking)
+    _pause(yes, f"rig diagnose {words}")
+    ctx.invoke(repair.diagnose, **asking)
+    taken = _taken(names, runs, path)
     if taken is not None:
         name, on = taken
-        _pause(yes, f"rig add {name}", words)
-        ctx.invoke(repair.add, effect=name, names=tuple(names), on=on, formula=None, **common)
-        ctx.invoke(repair.history, names=tuple(names), model=None, effects=None, runs=runs, as_json=False)
+        _pause(yes, f"rig add {name} {words}{f' --on {on}' if on else ''}")
+        ctx.invoke(repair.add, effect=name, on=on, formula=None, **asking)
+        _pause(yes, f"rig history --model {path}")
+        ctx.invoke(repair.history, **common)
     click.echo("\nnow see whether it was true; next: rig bench reveal")
 
 
-def _taken(names: Sequence[str], runs: Path) -> tuple[str, Any] | None:
-    diagnosis = _diagnosed(opened(names, runs, None, None, None))
-    if not diagnosis.steps:
-        return None
-    term = diagnosis.steps[0].taken.term
-    return term.effect.name, term.on
+def _taken(names: Sequence[str], runs: Path, path: Path) -> tuple[str, Any] | None:
+    """The effect that the diagnosis takes first, and the channels it acts on."""
+    steps = _diagnosed(opened(names, runs, path, None, None)).steps
+    return (steps[0].taken.name, steps[0].taken.term.on) if steps else None
 
 
-def _pause(yes: bool, command: str, words: str) -> None:
-    click.echo(f"\n$ {command} {words}")
+def _pause(yes: bool, command: str) -> None:
+    click.echo(f"\n$ {command}")
     if not yes:
         click.pause("  press a key to run it ")

@@ -21,6 +21,7 @@ class Resonance(Effect):
     missing = "gain rises as (f/f_n)² with little phase, the same at every level"
     confused_with = ("first_order_lag", "delay", "butterworth_filter", "rocking")
     separate_by = "a wider band; a remount moves the mount's resonance and leaves the element's where it is"
+    rarity = 1.0
     source = "effects.md S13, M03"
 
     def response(self, frequency: Array, at: Values) -> Complexes:

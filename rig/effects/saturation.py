@@ -15,7 +15,7 @@ class Saturation(Effect):
     title = "saturation"
     equation = "V/S = min(max(u, −limit), limit)"
     quantities = BOTH
-    coordinates = (Coordinate("limit", 0.02, starts=(1e3,)),)  # 1e3: where it vanishes
+    coordinates = (Coordinate("limit", 0.002, starts=(1e3,)),)  # 1e3: where it vanishes
     parameters = (Parameter("limit", "SI", (0.0, 1e3), (4.0, 20.0)),)
     missing = "flat tops: above one level gain falls and lines at 3f and 5f rise at once, below it nothing; no phase"
     confused_with = ("cubic", "quadratic", "odd_quadratic")

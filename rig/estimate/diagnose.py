@@ -115,7 +115,7 @@ def _step(
     if not choices:
         return None, tuple(scored)
     best = choices[0]
-    least = max((SHARE * step.taken.gain for step in before), default=0.0)
+    least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
     if best.merit <= 0.0 or best.gain < least:
         return None, tuple(scored)
     assert best.fit is not None

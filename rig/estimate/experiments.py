@@ -17,16 +17,19 @@ import numpy as np
 
 from rig.estimate import fit as fitting
 from rig.estimate.diagnose import Choice, Diagnosis
+from rig.estimate.evidence import Evidence
 from rig.estimate.fit import Fit, Indices, Part
+from rig.estimate.floor import Floor, carrying, said
 from rig.estimate.sines import LINES, SineRecords, Sines, directions
 from rig.estimate.turning import Turning
 from rig.motion import ORDERS, Array
 
 DECIDES = 16.0  # expected χ² between two models that settles it
+HELPS = 4.0  # and that a few repetitions bring there
 LIKELY = 0.02  # probability of a rival that is still open
 MOST_RIVALS = 4
-HIGHEST = 1200.0  # Hz; the converter's 3125 Hz allow 1220
-CODE = 305e-6  # V
+HIGHEST = 1000.0  # Hz; the converter allows 1220, but records of 1 s lose whole cycles near that
+RECORD, PAUSE = 1.0, 1.6  # s of one point, and between two; longer ones lose whole cycles
 ASIDE = 0.002  # of the acceleration: harmonics that a shaker has
 MINUTES_MOUNT = 4.0  # of an operator: mount, cables, beam
 
@@ -39,7 +42,7 @@ class Option:
     why: str
     minutes: float
     document: Mapping[str, Any]
-    part: Callable[[], Part | None]
+    part: Callable[[], Part]
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,11 @@ class Ranked:
         """Whether it is expected to settle the question."""
         return self.power >= DECIDES
 
+    @property
+    def helps(self) -> bool:
+        """Whether it is worth its time although one of it may not settle the question."""
+        return self.power >= HELPS
+
 
 def rivals(diagnosis: Diagnosis) -> list[Choice]:
     """Choices of the last step that the data leave open, best first; fewer than two: nothing is open."""
@@ -66,20 +74,23 @@ def rivals(diagnosis: Diagnosis) -> list[Choice]:
     return sorted((one for one in likely if one.fit is not None), key=lambda one: -one.merit)[:MOST_RIVALS]
 
 
-def ranked(diagnosis: Diagnosis) -> list[Ranked]:
-    """All measurements of this bench, the most decisive per minute first; [] if nothing is open."""
+def ranked(diagnosis: Diagnosis, floor: Floor | None = None) -> list[Ranked]:
+    """All measurements of this bench, the most powerful first, of those that decide well the quickest.
+
+    A new mounting brings ripple of its own: the floor's. [] if nothing is open.
+    """
     open_ones = rivals(diagnosis)
     if len(open_ones) < 2:
         return []
     found = []
     for option in options(diagnosis.base.parts):
         part = option.part()
-        if part is None:
-            continue
+        if floor is not None and floor.size > 0.0 and isinstance(part, Sines):
+            part = carrying(part, floor)
         powers = [(power(one, other, part), (one.name, other.name)) for one, other in _pairs(open_ones)]
         least, pair = min(powers)
         found.append(Ranked(option, least, pair))
-    return sorted(found, key=lambda one: (-min(one.power, 4.0 * DECIDES), one.option.minutes))
+    return sorted(found, key=lambda one: (-min(one.power, 4.0 * DECIDES), one.option.minutes, -one.power))
 
 
 def _pairs(open_ones: Sequence[Choice]) -> Iterator[tuple[Choice, Choice]]:
@@ -127,6 +138,8 @@ def _extended(found: Fit, part: Part) -> tuple[Array, Array, Array]:
     normal = np.zeros((order.size, order.size))
     places = _places(old, order)
     normal[np.ix_(places, places)] = found.normal
+    own = order.nuisances[-1] + np.arange(part.extra.shape[1])
+    normal[own, own] += 1.0  # their prior
     return normal, columns, part.whitened(raw)
 
 
@@ -155,41 +168,60 @@ def options(parts: Sequence[Part]) -> list[Option]:
 def _on_shaker(template: Sines) -> Iterator[Option]:
     axis = template.data.axis
     band, wide = (20.0, 500.0), (60.0, HIGHEST)
-    others = [one for one in "xyz" if one != axis]
-    for name, why, of, levels, limits, points, seconds in (
-        ("repeat", "more of the same", axis, ("full", "quarter"), band, 24, 1.0),
-        ("wider band", "dynamics that look alike below 500 Hz part above it", axis, ("full", "quarter"), wide, 24, 1.0),
-        ("wider band, long records", "the same with less noise", axis, ("full", "quarter"), wide, 24, 5.0),
-        ("three levels", "laws of level part", axis, ("full", "half", "eighth"), band, 24, 1.0),
-        ("long records", "less noise at every line", axis, ("full", "quarter"), band, 24, 5.0),
-        (f"axis {others[0]}", "what goes with the cube turns with it", others[0], ("full", "quarter"), band, 24, 1.0),
-        (f"axis {others[1]}", "what goes with the cube turns with it", others[1], ("full", "quarter"), band, 24, 1.0),
+    others, both = [one for one in "xyz" if one != axis], ("full", "quarter")
+    for name, why, of, levels, limits, points in (
+        ("repeat", "more of the same", axis, both, band, 24),
+        ("wider band", "dynamics that look alike below 500 Hz part above it", axis, both, wide, 24),
+        ("wider band, more points", "the same with less noise", axis, both, wide, 64),
+        ("three levels", "laws of level part", axis, ("full", "half", "eighth"), band, 24),
+        ("more points", "less noise in every parameter", axis, both, band, 64),
+        (f"axis {others[0]}", "what goes with the cube turns with it", others[0], both, band, 24),
+        (f"axis {others[1]}", "what goes with the cube turns with it", others[1], both, band, 24),
     ):
-        minutes = MINUTES_MOUNT + points * len(levels) * (seconds + 1.6) / 60.0
+        minutes = MINUTES_MOUNT + points * len(levels) * (RECORD + PAUSE) / 60.0
         document = {
             "procedure": "frequency_sweep", "axis": of, "start": f"{limits[0]:g} Hz", "stop": f"{limits[1]:g} Hz",
-            "points": points, "levels": list(levels), "record": f"{seconds:g} s",
+            "points": points, "levels": list(levels),
         }  # fmt: skip
-        yield Option(name, why, minutes, document, _sweep(template, of, levels, limits, points, seconds))
+        yield Option(name, why, minutes, document, _sweep(template, of, levels, limits, points))
     later = {"title": "The same sweep ten minutes later",
              "steps": [{"wait": "600 s"}, {"procedure": "frequency_sweep", "axis": axis}]}  # fmt: skip
     yield Option("later", "temperature, supply and time since power-up part", 16.0, later,
-                 _sweep(template, axis, ("full", "quarter"), band, 24, 1.0, later=600.0))  # fmt: skip
+                 _sweep(template, axis, both, band, 24, later=600.0))  # fmt: skip
+
+
+def unmeasured(evidence: Evidence) -> list[tuple[str, str]]:
+    """What these runs cannot show though this bench can: a sentence, and the command that measures it."""
+    found: list[tuple[str, str]] = []
+    axes = sorted({part.data.axis for part in evidence.sines})
+    levels = {level for part in evidence.sines for level in part.data.level if level != "rest"}
+    if not evidence.turnings:
+        found.append(("no turntable run: nothing that only a rate shows", "rig turntable --all"))
+    if not axes:
+        found.append(("no sweep: dynamics of the accelerometers, nonlinearity, cross-axis", "rig sweep --axis x"))
+    if len(levels) == 1:
+        command = f"rig sweep --axis {axes[0]} --levels full,quarter"
+        found.append(("one drive level: level and frequency cannot be told apart", command))
+    if evidence.sines and said(None) in evidence.blind:
+        found.append(("the bench's own ripple is not known", "rig run remounts.yaml, then rig floor last"))
+    for axis in "xyz" if axes else "":
+        if axis not in axes:
+            found.append((f"not driven along {axis}", f"rig sweep --axis {axis}"))
+    return found
 
 
 SHARES = {"full": 1.0, "half": 0.5, "quarter": 0.25, "eighth": 0.125}
 
 
 def _sweep(
-    template: Sines, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int, seconds: float,
-    later: float = 0.0,
+    template: Sines, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int, later: float = 0.0
 ) -> Callable[[], Part]:  # fmt: skip
-    return lambda: Sines(swept(template.data, axis, levels, limits, points, seconds, later))
+    return lambda: Sines(swept(template.data, axis, levels, limits, points, later=later))
 
 
 def swept(
-    data: SineRecords, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int, seconds: float,
-    later: float = 0.0,
+    data: SineRecords, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int,
+    seconds: float = RECORD, later: float = 0.0,
 ) -> SineRecords:  # fmt: skip
     """A sweep as it would be recorded after the one of `data`: motion, noise and conditions, nothing observed."""
     peaks = np.abs(data.shown[:, 1])
@@ -203,7 +235,7 @@ def swept(
     along = np.zeros((len(f), ORDERS), np.complex128)
     along[:, 1] = target
     along[:, 2:] = ASIDE * target[:, None]
-    begin = np.asarray(float(data.end.max()) + 60.0 + later + np.arange(len(f)) * (seconds + 1.6), np.float64)
+    begin = np.asarray(float(data.end.max()) + 60.0 + later + np.arange(len(f)) * (seconds + PAUSE), np.float64)
     channels = data.channels
     lines = np.zeros((len(channels.names), len(f), LINES))
     at = np.concatenate([f[:, None] * np.arange(ORDERS), np.full((len(f), LINES - ORDERS), data.mains)], axis=1)

@@ -45,16 +45,21 @@ class Floor:
 
 def floor_from(stated: Mapping[str, Any], where: str) -> Floor:
     """The inverse of `as_dict`; raises BadInput."""
+    wanted = "wanted size, length, mountings and runs of a floor"
     try:
-        return Floor(
-            float(stated["size"]), float(stated["length"]), int(stated["mountings"]), tuple(map(str, stated["runs"]))
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"{where}: found {error}, wanted size, length, mountings and runs of a floor") from error
+        runs = tuple(map(str, stated["runs"]))
+        found = Floor(float(stated["size"]), float(stated["length"]), int(stated["mountings"]), runs)
+    except KeyError as error:
+        raise BadInput(f"{where}: found no {error.args[0]}, {wanted}") from error
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{where}: found {error}, {wanted}") from error
+    if not 0.0 <= found.size < 1.0 or not 0.0 < found.length < math.inf:
+        raise BadInput(f"{where}: found size {found.size:g} and length {found.length:g}, {wanted}")
+    return found
 
 
 def floor_of(evidence: Evidence) -> Floor:
-    """Measure the floor. Raises BadInput with fewer than three mountings of one axis."""
+    """Measure the floor. Raises BadInput for fewer than three mountings of one axis or nothing in common."""
     groups: dict[str, list[Sines]] = {}
     for part in evidence.sines:
         groups.setdefault(part.data.axis, []).append(part)
@@ -63,6 +68,8 @@ def floor_of(evidence: Evidence) -> Floor:
         most = max((len(parts) for parts in groups.values()), default=0)
         raise BadInput(f"floor: found {most} mountings of one axis, wanted at least {FEWEST} (see remounts.yaml)")
     tables = [one for parts in usable.values() for one in _differences(parts)]
+    if not tables:
+        raise BadInput("floor: found no frequency and level that all mountings share, wanted the same sweep every time")
     best, size, length = 0.0, 0.0, LENGTHS[-1]
     for trial in LENGTHS:
         for one in SIZES:
@@ -134,11 +141,12 @@ def with_floor(evidence: Evidence, floor: Floor | None) -> Evidence:
         evidence = replace(evidence, blind=(*evidence.blind, said(floor)))
     if floor is None or floor.size == 0.0:
         return evidence
-    parts = tuple(_carrying(part, floor) if isinstance(part, Sines) else part for part in evidence.parts)
+    parts = tuple(carrying(part, floor) if isinstance(part, Sines) else part for part in evidence.parts)
     return replace(evidence, parts=parts)
 
 
-def _carrying(part: Sines, floor: Floor) -> Sines:
+def carrying(part: Sines, floor: Floor) -> Sines:
+    """The same part with the floor's shapes as nuisances: each part of the response of each driven accelerometer."""
     data = part.data
     made = Sines(data)
     f = np.where(data.frequency > 0.0, data.frequency, 1.0)

@@ -422,6 +422,8 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
         ctx.invoke(repair.add, effect=name, on=on, formula=None, **asking)
         _pause(yes, f"rig history --model {path}")
         ctx.invoke(repair.history, **common)
+    else:
+        click.echo("\nnothing to add: what is hidden does not show in these two runs")
     click.echo("\nnow see whether it was true; next: rig bench reveal")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,8 @@ from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, req
 from rig.errors import SignalLow, SignalOverload, VerdictNotMet
 from rig.record import CubeSamples, Response, Samples, Traces
 
-FIRST_APPROACH = 0.1  # share of the wanted drive at the very first point, until the drive constant is known
+RISING, FAR = 600.0, 1.12  # Hz above which a constant holds no further than this ratio upwards
+FIRST_APPROACH = 0.1  # share of the wanted drive where the drive constant is not known yet
 CLOSE_ENOUGH = 0.05  # a level within 5 % of its target is not repeated
 OVERSHOOT = 1.10  # measured motion beyond this times a limit stops the run
 ANALYZER_SPAN = 1000.0  # Hz
@@ -51,7 +53,7 @@ def sine(step: Sine, station: Station) -> dict[str, Any]:
     Raises SignalOverload or SignalLow if the reference cannot be trusted, VerdictNotMet if the motion passes a limit.
     """
     omega = 2.0 * math.pi * step.frequency
-    approach = not station.drive.constants
+    approach = _unknown(step.frequency, station.drive.constants)
     for attempt in range(3):
         wanted = step.acceleration / omega**2 / station.drive.constant(step.frequency)
         share = FIRST_APPROACH if approach and attempt == 0 else 1.0
@@ -65,6 +67,16 @@ def sine(step: Sine, station: Station) -> dict[str, Any]:
     raise VerdictNotMet(
         f"{step.label}: found {reached:.1%} of the level after 3 attempts, wanted within {CLOSE_ENOUGH:.0%}"
     )
+
+
+def _unknown(frequency: float, constants: Mapping[float, float]) -> bool:
+    """Whether the drive constant there must first be felt out: nothing is known, or only far below a high frequency.
+
+    Towards the stack's resonance the stroke rises, so that a constant from far below would overshoot.
+    """
+    if not constants:
+        return True
+    return frequency > RISING and frequency > FAR * max(constants)
 
 
 def rest(station: Station) -> None:

@@ -45,7 +45,9 @@ class Group:
 
     @property
     def z(self) -> float:
-        """Excess of χ²/n in standard deviations, with the allowance."""
+        """Excess of χ²/n in standard deviations, with the allowance; of a single prior its distance."""
+        if self.count == 1:
+            return math.sqrt(self.chi2)
         return (self.chi2 / self.count - 1.0) / math.sqrt(2.0 / self.count + self.allowance**2)
 
 
@@ -61,7 +63,15 @@ def groups(found: Fit) -> list[Group]:
             result += _of_sines(part, left, counted)
         elif isinstance(part, Turning):
             result += _of_turning(part, left, counted)
-    return [one for one in result if one.count >= FEWEST]
+    return [*(one for one in result if one.count >= FEWEST), *_pulls(found)]
+
+
+def _pulls(found: Fit) -> Iterator[Group]:
+    """Nuisances that had to leave their stated uncertainty: the reference cannot be what its certificate says."""
+    for term in found.state.terms:
+        for name, sigma in term.prior.items():
+            pull = (term.at[name] / sigma) ** 2
+            yield Group("references", term.effect.places[0], term.effect.name, f"stated {name}", pull, 1)
 
 
 def worst(found: Fit) -> Group | None:

@@ -21,6 +21,8 @@ from rig.model import Effect, Quantity, Term
 from rig.motion import Array
 
 HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
+ROUNDING = 1e-6  # of a column's norm: less is no more than rounding
+TOLD = 1.0  # standard deviations that a step of the coordinate makes outside the span
 NARROW = 0.2  # of a column's norm outside the span: below it a refit needs all columns afresh
 ROUNDS = 8
 SETTLED = 0.02  # of χ²
@@ -167,7 +169,11 @@ def _from(sight: _Sight, term: Term) -> Score:
     outside = own - inside.T @ sight.inverse @ inside
     size = np.sqrt(np.maximum(np.diag(own), 1e-300))
     seen = np.sqrt(np.maximum(np.diag(outside), 0.0)) / size
-    good = seen > HIDDEN
+    # what only a prior tells from a nuisance is a small share of a strong column, and can be seen all the same
+    steps = np.array([c.step for c in term.effect.coordinates if not c.searched])
+    told = np.sqrt(np.maximum(np.diag(outside), 0.0)) * steps > TOLD
+    good = (seen > HIDDEN) | ((seen > ROUNDING) & told)
+    seen = np.where(good, np.maximum(seen, 1.01 * HIDDEN), seen)
     pull = _pull(sight, left)
     target = columns.T @ left - inside.T @ sight.inverse @ pull
     if good.any():

@@ -243,7 +243,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     points = [one.point for one in whole]
     begins = np.array([one.begin for one in whole])
     observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
-    usable = np.array([one.usable[rows] & (one.point is None or not one.point.flags) for one in whole]).T
+    usable = np.array([one.usable[rows] & _trusted(one.point) for one in whole]).T
     return SineRecords(
         name=name,
         run=records.name,
@@ -274,8 +274,13 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         gravity=reference(records, "gravity", "gravity").value,
         directions=directions(axis),
         leftovers=tuple(_only(one.leftover, rows) for one in whole),
-        notes=tuple(f"{p.run} point {p.index}: {flag}" for p in points if p is not None for flag in p.flags),
+        notes=tuple(f"{p.run} point {p.index}: {f}" for p in points if p and not _trusted(p) for f in p.flags),
     )
+
+
+def _trusted(point: SinePoint | None) -> bool:
+    """Whether nothing but the record's length is to be said of a point: the fit knows the frequency, not its cycles."""
+    return point is None or all(flag.startswith("not whole cycles") for flag in point.flags)
 
 
 def _shown(point: SinePoint | None) -> Complexes:

@@ -96,7 +96,7 @@ def _next_after(
 ) -> str:  # fmt: skip
     """The commands that follow; the runs by name, because `last` will be another one."""
     names = work.names if work.names == ("all",) else work.bench.evidence.runs
-    options = [*work.words.split()[len(work.names) :], *([] if model is None else ["--model", str(model)])]
+    options = work.words.split()[len(work.names) :]
     words = " ".join([*names, *options])
     if path is not None:
         after = names if names == ("all",) else (*names, "last")

@@ -54,12 +54,14 @@ class Opened:
     path: Path
     names: tuple[str, ...]
     runs: Path
+    given: Path | None = None  # the model's file as it was asked for
 
     @property
     def words(self) -> str:
-        """The runs as they were asked for, for the next command, with the start of a model that is not kept yet."""
+        """The runs and the model as they were asked for, for the next command."""
         begun = self.path.exists() or self.model.start == "datasheet"
-        return " ".join([*self.names, *([] if begun else ["--start", self.model.start])])
+        start = [] if begun else ["--start", self.model.start]
+        return " ".join([*self.names, *start, *([] if self.given is None else ["--model", str(self.given)])])
 
     @property
     def figures(self) -> Path:
@@ -77,7 +79,7 @@ def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, eff
 
     bench = bench_of(records_of(names, runs), shelf(effects), floor.load(floor.path_of(runs)))
     path = model or path_of(runs, bench.evidence.serial)
-    return Opened(bench, model_at(path, bench, start), path, tuple(names), runs)
+    return Opened(bench, model_at(path, bench, start), path, tuple(names), runs, model)
 
 
 @click.command(short_help="Error against noise, and where a model fails.")

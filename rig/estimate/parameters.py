@@ -37,6 +37,9 @@ LABORATORY: Mapping[str, tuple[str, float]] = {
 }
 
 
+UNSEEN = 1e-15  # SI; a coordinate that nothing moves stays where it was, at zero
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A number in its SI `unit` with its standard uncertainty; `u` is None where it has no finite value."""
@@ -53,6 +56,8 @@ class Estimate:
     def text(self) -> str:
         """`1.23 ± 0.04 ms`, in a laboratory's unit, with U for k = 2."""
         symbol, factor = _shown_in(self)
+        if self.u is not None and self.u < UNSEEN and abs(self.value) < UNSEEN:
+            return "not seen in this data"
         if self.u is None:
             return f"{self.value * factor:.4g} {symbol}".rstrip()
         number, expanded = rounded(self.value * factor, COVERAGE * self.u * factor)

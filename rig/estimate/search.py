@@ -103,7 +103,7 @@ class _Sight:
 
         Those of an earlier step will do: a model that has one effect more has hardly other derivatives.
         """
-        key = (term.key, *term.at.values())
+        key = (term.effect, term.on, *term.at.values())
         if key in self.memory:
             kept, before = self.memory[key]
             return kept.astype(np.float64), before.astype(np.float64)

@@ -19,5 +19,5 @@ class Aliasing(Effect):
     missing = "a narrow line at no harmonic of motion, turn or mains, the same volts at every level and at rest"
     confused_with = ("spur", "mains_hum", "motor_pickup")
     separate_by = "another sampling rate: a folded line moves, a real one stays"
-    source = "effects.md E05, S29"
+    source = "error sources E05, S29"
     looks_in = "lines"

@@ -16,7 +16,7 @@ class Asymmetry(Effect):
     confused_with = ("quadratic", "saturation", "sensitivity")
     separate_by = "a second level (2f ∝ A against A², and a line at 4f); of a gyro, the table turned the other way"
     kinked = True
-    source = "effects.md S07, S26; IEEE 1431"
+    source = "error sources S07, S26; IEEE 1431"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["ratio"] * np.abs(u))

@@ -20,7 +20,7 @@ class AxisOffset(Effect):
     confused_with = ("lever_arm", "cross_axis", "quadratic")
     separate_by = "the unit turned by 90° on the platter: the differences between its axes go with the unit"
     rarity = 4.0
-    source = "effects.md S30"
+    source = "error sources S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         if motion.place != "turntable":

@@ -20,7 +20,7 @@ class BesselFilter(Effect):
     confused_with = ("first_order_lag", "moving_average", "butterworth_filter", "delay", "ldv_low_pass")
     separate_by = "a sweep past the corner: three poles fall faster than one and have no zeros as a moving average has"
     rarity = 2.0
-    source = "effects.md S14, L03; Thomson, Proc. IEE 96 (1949)"
+    source = "error sources S14, L03; Thomson, Proc. IEE 96 (1949)"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         s = HALF_POWER * 1j * at["period"] * frequency

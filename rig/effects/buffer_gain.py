@@ -18,7 +18,7 @@ class BufferGain(Effect):
     missing = "nothing: sensitivity and zero output come out too large by the same factor, flat in f and level"
     confused_with = ("ldv_cosine",)
     separate_by = "a reference voltage in place of the sensor: what is shown too much is the gain's error"
-    source = "effects.md E01"
+    source = "error sources E01"
     absorbed = "a gain behind the sensor is part of the sensitivity and the zero output"
 
     def output(

@@ -17,7 +17,7 @@ class ButterworthFilter(Effect):
     missing = "the phase lags as 0.416·f/corner of a turn while the gain only falls as (f/corner)⁸/2, at every level"
     confused_with = ("delay", "bessel_filter", "moving_average", "first_order_lag", "resonance")
     separate_by = "a sweep past the corner: the gain of the filter falls there, that of a delay does not"
-    source = "effects.md S14; Butterworth, Wireless Engineer 7 (1930)"
+    source = "error sources S14; Butterworth, Wireless Engineer 7 (1930)"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         s = 1j * at["period"] * frequency

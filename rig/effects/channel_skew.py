@@ -21,7 +21,7 @@ class ChannelSkew(Effect):
     confused_with = ("delay", "ldv_delay", "first_order_lag")
     separate_by = "the scan in another order: skew goes with the slot, a delay stays with the sensor"
     rarity = 1.0
-    source = "effects.md E06"
+    source = "error sources E06"
 
     def late(self, slots: NDArray[np.intp], at: Values) -> Array:
         return np.asarray(slots * at["extra"])

@@ -16,5 +16,5 @@ class ClockRatio(Effect):
     missing = "the phase runs away within a record as 2π·f·error·t; at a fixed frequency the gain falls ∝ (f·error·T)²"
     confused_with = ("first_order_lag",)
     separate_by = "two lengths of record: a filter does not know how long it is watched"
-    source = "effects.md K01"
+    source = "error sources K01"
     looks_in = "clock"

@@ -15,7 +15,7 @@ class CrossAxis(Effect):
     missing = "a copy of the driven axis in the axis before it, in phase, the same share at every frequency and level"
     confused_with = ("transverse_motion", "multiplexer_settling", "crosstalk")
     separate_by = "the cube turned by 90° about the driven axis, or another axis driven: a true share goes along"
-    source = "effects.md S03, S04; IEEE 1293"
+    source = "error sources S03, S04; IEEE 1293"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         whole = motion.rate if channels.rates.any() else motion.force

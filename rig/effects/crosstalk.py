@@ -17,7 +17,7 @@ class Crosstalk(Effect):
     confused_with = ("cross_axis", "multiplexer_settling", "channel_skew")
     separate_by = "a sweep with phase: crosstalk is ∝ f at a quarter turn, a cross-axis share flat and in phase"
     rarity = 1.0
-    source = "effects.md E08"
+    source = "error sources E08"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         whole = motion.rate if channels.rates.any() else motion.force

@@ -15,7 +15,7 @@ class Cubic(Effect):
     missing = "gain changes by ¾·coefficient·A² and a line at 3f grows as A³/4, in phase, the same at every frequency"
     confused_with = ("odd_quadratic", "saturation", "resonance")
     separate_by = "two levels at two frequencies: gain ∝ A² against ∝ A (odd quadratic) or ∝ f² (resonance)"
-    source = "effects.md S06, S26; IEEE 1293"
+    source = "error sources S06, S26; IEEE 1293"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u**3)

@@ -16,7 +16,7 @@ class DeadZone(Effect):
     confused_with = ("hysteresis", "odd_quadratic", "cubic")
     separate_by = "levels towards zero: amplitude a straight line with a negative intercept, without hysteresis' lag"
     kinked = True
-    source = "effects.md S10"
+    source = "error sources S10"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         """A width below zero continues it straight, u − sign(u)·width, so that it has a slope at zero."""

@@ -17,7 +17,7 @@ class Delay(Effect):
     missing = "the phase lags exactly ∝ f, in every channel of this quantity alike, while the gain is right at every f"
     confused_with = ("ldv_delay", "channel_skew", "first_order_lag", "butterworth_filter", "moving_average")
     separate_by = "a wider band with magnitude and phase, and the scan in another order: skew goes with the slot"
-    source = "effects.md S16"
+    source = "error sources S16"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(np.exp(-2j * math.pi * frequency * at["time"]))

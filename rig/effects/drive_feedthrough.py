@@ -16,7 +16,7 @@ class DriveFeedthrough(Effect):
     missing = "the same volts in all channels, in line with the drive's voltage: against the acceleration, ∝ 1/f²"
     confused_with = ("cross_axis", "high_pass", "mains_hum")
     separate_by = "the sensor turned over: the feed-through keeps its sign; a dummy in its place still shows it"
-    source = "effects.md E10"
+    source = "error sources E10"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
         if motion.place != "shaker":

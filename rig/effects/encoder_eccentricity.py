@@ -20,7 +20,7 @@ class EncoderEccentricity(Effect):
     missing = "encoder less gyro once per revolution, amplitude ∝ rate, phase fixed to the index; none in whole turns"
     confused_with = ("motor_pickup", "platen_tilt", "g_sensitivity")
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, independent of ω for a tilt or a field"
-    source = "effects.md T01; HEDS-9040 data sheet"
+    source = "error sources T01; HEDS-9040 data sheet"
 
     def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:
         sine, cosine = np.sin(angle), np.cos(angle)

@@ -16,5 +16,5 @@ class EncoderGraduation(Effect):
     missing = "a pattern from line to line that repeats every turn, at every speed; nothing in whole turns"
     confused_with = ("encoder_second_harmonic", "encoder_eccentricity", "missed_counts")
     separate_by = "twenty turns and more, averaged line by line: graduation repeats, the sampling of edges does not"
-    source = "effects.md T03; HEDS-9040 data sheet"
+    source = "error sources T03; HEDS-9040 data sheet"
     looks_in = "graduation"

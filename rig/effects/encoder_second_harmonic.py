@@ -21,7 +21,7 @@ class EncoderSecondHarmonic(Effect):
     confused_with = ("motor_pickup", "encoder_eccentricity", "encoder_graduation")
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, and still there without the motor"
     rarity = 1.0
-    source = "effects.md T02"
+    source = "error sources T02"
 
     def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:
         sine, cosine = np.sin(2.0 * angle), np.cos(2.0 * angle)

@@ -17,7 +17,7 @@ class FirstOrderLag(Effect):
     missing = "gain falls as (2πfτ)²/2 while the phase lags as 2πfτ, the same at every level"
     confused_with = ("delay", "butterworth_filter", "bessel_filter", "moving_average", "resonance")
     separate_by = "a wider band with magnitude and phase: the gain of a lag falls, that of a delay does not"
-    source = "effects.md S12"
+    source = "error sources S12"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(1.0 / (1.0 + 2j * math.pi * at["time_constant"] * frequency))

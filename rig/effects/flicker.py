@@ -16,5 +16,5 @@ class Flicker(Effect):
     missing = "density rises as 1/f at the low end, Allan deviation flat at 1.18·level: longer means get no better"
     confused_with = ("random_walk", "white", "temperature_bias")
     separate_by = "a record at rest of hours with its temperature: flicker is left when the thermometer is taken off"
-    source = "effects.md N02; IEEE 952"
+    source = "error sources N02; IEEE 952"
     looks_in = "noise"

@@ -16,7 +16,7 @@ class GSensitivity(Effect):
     missing = "gyro error ∝ ω²·r where the next axis is radial, ∝ angular acceleration where tangential, else constant"
     confused_with = ("quadratic", "cross_axis", "offset", "platen_tilt")
     separate_by = "a second radius or the unit turned by 180° on the platter: ∝ r and turning its sign, unlike K₂ω²"
-    source = "effects.md S23; IEEE 1431"
+    source = "error sources S23; IEEE 1431"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         return np.asarray(felt + at["coefficient"] * motion.force[(channels.axis + 1) % 3])

@@ -18,7 +18,7 @@ class GravityTilt(Effect):
     confused_with = ("rocking", "dead_zone")
     separate_by = "lower frequencies with magnitude and phase (a high-pass leads, a tilt does not), or an upright drive"
     rarity = 1.0
-    source = "effects.md M10; ISO 16063-11"
+    source = "error sources M10; ISO 16063-11"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods):

@@ -22,7 +22,7 @@ class HighPass(Effect):
     confused_with = ("drive_feedthrough", "rocking")
     separate_by = "a sweep to lower frequencies with phase: a high-pass leads, a tilt in gravity stays in phase"
     rarity = 1.0
-    source = "effects.md S15"
+    source = "error sources S15"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         f = np.where(frequency > 0.0, frequency, math.inf)

@@ -17,7 +17,7 @@ class Hysteresis(Effect):
     confused_with = ("delay", "first_order_lag", "dead_zone")
     separate_by = "smaller levels at one frequency: this lag is ∝ 1/A, that of a delay or filter does not change"
     kinked = True
-    source = "effects.md S11; Visintin, Differential Models of Hysteresis (play operator)"
+    source = "error sources S11; Visintin, Differential Models of Hysteresis (play operator)"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         """A width below zero mirrors it, 2u − play(u, −width), so that it has a slope at zero."""

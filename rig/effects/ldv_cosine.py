@@ -15,7 +15,7 @@ class LdvCosine(Effect):
     missing = "nothing: all sensitivities come out too large by 1/cos(angle), flat in f and level"
     confused_with = ("buffer_gain", "ldv_gain_step")
     separate_by = "the beam turned on purpose in two directions: the cosine's maximum is the true alignment"
-    source = "effects.md L01; ISO 16063-41"
+    source = "error sources L01; ISO 16063-41"
     absorbed = "the cosine of the beam's angle is part of the sensitivity"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

@@ -17,7 +17,7 @@ class LdvDelay(Effect):
     missing = "the phases of all channels lead exactly ∝ f, by the same time, while the gains are right"
     confused_with = ("delay", "channel_skew", "ldv_low_pass")
     separate_by = "a second vibrometer or decoder on the same spot: their difference is free of the sensor"
-    source = "effects.md L04, U8"
+    source = "error sources L04, U8"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         return np.asarray(along * np.exp(2j * math.pi * frequency * at["time"]))

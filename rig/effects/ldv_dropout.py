@@ -19,5 +19,5 @@ class LdvDropout(Effect):
     missing = "bursts in the reference's residual with heavy tails; all gains too high by share·depth, not repeatable"
     confused_with = ("ldv_gain_step", "white")
     separate_by = "retro-reflecting tape and a longer gate on the signal level: dropouts vanish, a gain error stays"
-    source = "effects.md L05"
+    source = "error sources L05"
     looks_in = "dropouts"

@@ -21,7 +21,7 @@ class LdvGainStep(Effect):
     confused_with = ("resonance", "cubic", "ldv_low_pass")
     separate_by = "the same frequency and level measured in both ranges: only the step differs"
     rarity = 1.0
-    source = "effects.md L02"
+    source = "error sources L02"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         gain = np.where(scale <= at["range"], 1.0 + at["step"], 1.0)

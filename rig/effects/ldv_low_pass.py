@@ -20,7 +20,7 @@ class LdvLowPass(Effect):
     confused_with = ("resonance", "ldv_delay", "bessel_filter")
     separate_by = "another filter setting of the decoder: a rise that comes from it changes"
     rarity = 1.0
-    source = "effects.md L03"
+    source = "error sources L03"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         s = HALF_POWER * 1j * at["period"] * frequency  # written again as in bessel_filter: effects stand alone

@@ -23,7 +23,7 @@ class LeverArm(Effect):
     missing = "accelerometer error ∝ ω² for either direction of turning, and ∝ angular acceleration 90° further round"
     confused_with = ("axis_offset", "quadratic", "cross_axis", "platen_tilt")
     separate_by = "a second known radius: the arm stays the same where a wrong sensitivity grows with the radius"
-    source = "effects.md T15, T16, S30"
+    source = "error sources T15, T16, S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         if motion.place != "turntable":

@@ -33,7 +33,7 @@ class MainsHum(Effect):
     missing = "lines at 50 or 60 Hz and three times that, the same volts in all channels at every level, also at rest"
     confused_with = ("drive_feedthrough", "aliasing", "spur")
     separate_by = "a record at rest: hum stays, and its frequency wanders with the mains"
-    source = "effects.md E09"
+    source = "error sources E09"
 
     def at_mains(self, order: int, elapsed: Array, at: Values) -> Complexes | None:
         phasors = {1: at["cosine"] - 1j * at["sine"], 3: at["cosine_third"] - 1j * at["sine_third"]}

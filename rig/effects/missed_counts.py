@@ -16,5 +16,5 @@ class MissedCounts(Effect):
     missing = "whole lines too few from index to index; the sensitivities of all gyros come out too high by the share"
     confused_with = ("encoder_graduation", "buffer_gain")
     separate_by = "the lines from index to index at several speeds: the disk's number is exact, loss goes with speed"
-    source = "effects.md T05, T08, U32"
+    source = "error sources T05, T08, U32"
     looks_in = "closure"

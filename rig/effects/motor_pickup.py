@@ -28,7 +28,7 @@ class MotorPickup(Effect):
     missing = "a line at a whole number per turn in the gyros, amplitude independent of ω, gone in the coast-down"
     confused_with = ("encoder_eccentricity", "encoder_second_harmonic", "g_sensitivity", "platen_tilt")
     separate_by = "the coast-down: pickup ends where the motor is switched off, disk and tilt go on"
-    source = "effects.md S28, T18"
+    source = "error sources S28, T18"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
         if motion.place != "turntable":

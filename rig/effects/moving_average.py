@@ -18,7 +18,7 @@ class MovingAverage(Effect):
     confused_with = ("delay", "bessel_filter", "first_order_lag", "butterworth_filter")
     separate_by = "a sweep past 1/window: the gain is zero there, no filter with poles alone is"
     rarity = 2.0
-    source = "effects.md S14; decimators in sigma-delta data sheets"
+    source = "error sources S14; decimators in sigma-delta data sheets"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         turns = frequency * at["window"]

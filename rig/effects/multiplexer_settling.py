@@ -19,7 +19,7 @@ class MultiplexerSettling(Effect):
     confused_with = ("cross_axis", "crosstalk", "drive_feedthrough")
     separate_by = "the scan in another order, or a grounded slot in between: the copy goes with the slot, not the axis"
     rarity = 1.0
-    source = "effects.md E07"
+    source = "error sources E07"
 
     def mixed(self, volts: NDArray[np.inexact], before: NDArray[np.inexact], at: Values) -> NDArray[np.inexact]:
         return volts + at["share"] * (before - volts)

@@ -16,7 +16,7 @@ class OddQuadratic(Effect):
     confused_with = ("cubic", "dead_zone", "quadratic")
     separate_by = "a third level: gain ∝ A against ∝ A² (cubic) or ∝ 1/A (dead zone)"
     rarity = 2.0
-    source = "effects.md S07; IEEE 1293"
+    source = "error sources S07; IEEE 1293"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u * np.abs(u))

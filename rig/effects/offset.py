@@ -15,7 +15,7 @@ class Offset(Effect):
     missing = "a constant shift of the mean, the same at every frequency, level, rate and angle"
     confused_with = ("temperature_bias", "warm_up", "quadratic")
     separate_by = "a tumble or the unit inverted, which turns the input's sign: the fit takes it up as zero output"
-    source = "effects.md S01"
+    source = "error sources S01"
     absorbed = "the zero output is fitted: a constant shift is part of it"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

@@ -20,7 +20,7 @@ class PlatenTilt(Effect):
     missing = "once per revolution on both accelerometers in the plane, 90° apart, the same size at every rate"
     confused_with = ("encoder_eccentricity", "motor_pickup", "g_sensitivity", "lever_arm")
     separate_by = "a spirit level and the coast-down: a tilt stays the same at every ω and without the motor"
-    source = "effects.md T09"
+    source = "error sources T09"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         """Where the angle is unknown (NaN), nothing is added."""

@@ -15,7 +15,7 @@ class Quadratic(Effect):
     missing = "a line at 2f and a shift of the mean, both growing as the square of the level; of a gyro, a part ∝ ω²"
     confused_with = ("asymmetry", "g_sensitivity", "saturation")
     separate_by = "a second level (square law against linear); of a gyro, a second radius or the cube turned by 90°"
-    source = "effects.md S05, S26; vibration rectification in IEEE 1293"
+    source = "error sources S05, S26; vibration rectification in IEEE 1293"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u**2)

@@ -17,5 +17,5 @@ class Quantisation(Effect):
     missing = "few different values in a record, evenly spaced; a white residual of step/√12 where noise exceeds step/2"
     confused_with = ("white",)
     separate_by = "the values that occur, counted: noise leaves no gaps between them"
-    source = "effects.md E03"
+    source = "error sources E03"
     looks_in = "codes"

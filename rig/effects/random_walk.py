@@ -16,5 +16,5 @@ class RandomWalk(Effect):
     missing = "density rises as 1/f² at the low end, Allan deviation ∝ τ^½, coefficient·√(τ/3): longer means get worse"
     confused_with = ("flicker", "temperature_bias", "warm_up")
     separate_by = "a record at rest of hours with its temperature, repeated: a walk never takes the same path"
-    source = "effects.md N03; IEEE 952"
+    source = "error sources N03; IEEE 952"
     looks_in = "noise"

@@ -22,7 +22,7 @@ class Resonance(Effect):
     confused_with = ("first_order_lag", "delay", "butterworth_filter", "rocking")
     separate_by = "a wider band; a remount moves the mount's resonance and leaves the element's where it is"
     rarity = 1.0
-    source = "effects.md S13, M03"
+    source = "error sources S13, M03"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(1.0 / (1.0 - at["square"] * frequency**2 + 1j * at["loss"] * frequency))

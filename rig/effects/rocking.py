@@ -29,7 +29,7 @@ class Rocking(Effect):
     missing = "gain and phase ripple about one frequency, ∝ distance from the spot, opposite on either side; gyros too"
     confused_with = ("resonance", "transverse_motion", "gravity_tilt")
     separate_by = "the vibrometer's spot moved to the other side: the error of rocking turns its sign"
-    source = "effects.md M01; ISO 16063-21"
+    source = "error sources M01; ISO 16063-21"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods):

@@ -21,7 +21,7 @@ class Saturation(Effect):
     confused_with = ("cubic", "quadratic", "odd_quadratic")
     separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at the limit"
     kinked = True
-    source = "effects.md S09"
+    source = "error sources S09"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(np.clip(u, -at["limit"], at["limit"]))

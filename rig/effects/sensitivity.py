@@ -15,7 +15,7 @@ class Sensitivity(Effect):
     missing = "an error in proportion to the input, in phase, the same share at every frequency, level and rate"
     confused_with = ("temperature_scale", "supply_ratio", "asymmetry")
     separate_by = "a reference of another kind (gravity in a tumble, whole turns): the fit takes it up as S"
-    source = "effects.md section 0, M0; L01, L02"
+    source = "error sources section 0, M0; L01, L02"
     absorbed = "the sensitivity is fitted: a relative change of it is part of S"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:

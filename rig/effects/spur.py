@@ -19,5 +19,5 @@ class Spur(Effect):
     missing = "a narrow line at no harmonic of motion, turn or mains, also at rest; the Allan deviation swings"
     confused_with = ("aliasing", "mains_hum", "motor_pickup")
     separate_by = "another sampling rate: a real line stays where it is, a folded one moves"
-    source = "effects.md N07, S29"
+    source = "error sources N07, S29"
     looks_in = "lines"

@@ -20,7 +20,7 @@ class SupplyRatio(Effect):
     missing = "gain and mean drift together, by the same share, with the logged supply"
     confused_with = ("temperature_scale", "temperature_bias", "warm_up")
     separate_by = "the supply stepped by some per cent at a fixed temperature"
-    source = "effects.md S17; data sheets of ratiometric parts (0.2·Vs/g)"
+    source = "error sources S17; data sheets of ratiometric parts (0.2·Vs/g)"
 
     def output(
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values

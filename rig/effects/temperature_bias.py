@@ -20,7 +20,7 @@ class TemperatureBias(Effect):
     missing = "the mean drifts with the logged temperature, whatever the input; the gain stays"
     confused_with = ("warm_up", "temperature_scale", "supply_ratio")
     separate_by = "a temperature ramp both ways at rest: the mean comes back with the temperature, not with time"
-    source = "effects.md S18; ADXL350 data sheet"
+    source = "error sources S18; ADXL350 data sheet"
 
     def output(
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values

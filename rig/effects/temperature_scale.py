@@ -20,7 +20,7 @@ class TemperatureScale(Effect):
     missing = "the gain drifts with the logged temperature, in proportion to the signal; the zero stays"
     confused_with = ("supply_ratio", "warm_up", "temperature_bias")
     separate_by = "a temperature ramp both ways at a fixed supply, points in random order"
-    source = "effects.md S19"
+    source = "error sources S19"
 
     def output(
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values

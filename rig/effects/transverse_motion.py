@@ -26,7 +26,7 @@ class TransverseMotion(Effect):
     confused_with = ("cross_axis", "crosstalk", "rocking")
     separate_by = "the cube turned by 180° about the drive: true motion turns its sign, a cross-axis share does not"
     rarity = 1.0
-    source = "effects.md M02; ISO 16063-21"
+    source = "error sources M02; ISO 16063-21"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods) or at["ratio"] == 0.0:

@@ -22,7 +22,7 @@ class WarmUp(Effect):
     missing = "the mean drifts fast at first, then ever slower, with time and not with temperature or input; gain stays"
     confused_with = ("temperature_bias", "offset", "supply_ratio")
     separate_by = "a second start from cold, or records repeated an hour later: it repeats after power-on, then ends"
-    source = "effects.md S20"
+    source = "error sources S20"
 
     def output(
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values

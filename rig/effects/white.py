@@ -16,5 +16,5 @@ class White(Effect):
     missing = "residuals without correlation: density flat in f, Allan deviation ∝ τ^−½, the same at every level"
     confused_with = ("quantisation", "flicker", "ldv_dropout")
     separate_by = "a record at rest, and one with the input shorted: what stays is the converter's"
-    source = "effects.md N01; IEEE 952"
+    source = "error sources N01; IEEE 952"
     looks_in = "noise"

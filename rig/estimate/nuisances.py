@@ -28,7 +28,7 @@ class FilterCutoff(Effect):
     parameters = (Parameter("relative", "1", (-0.2, 0.2), (1e-4, 3e-2)),)
     missing = "phase of the reference ∝ f, a little bent towards the cut-off"
     separate_by = "verification of the filter with the analyzer"
-    source = "effects.md L10"
+    source = "error sources L10"
 
     def __init__(self, chain: Chain) -> None:
         self.name, self._chain = "filter_cutoff", chain  # type: ignore[misc]
@@ -49,7 +49,7 @@ class VibrometerGain(Effect):
     parameters = (Parameter("relative", "1", (-0.5, 0.5), (1e-3, 1e-2)),)
     missing = "nothing by itself: the sensitivities take it up; sizes in m/s² are uncertain by it"
     separate_by = "another reference: gravity, or a standard accelerometer"
-    source = "effects.md L02, U1"
+    source = "error sources L02, U1"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         return along / (1.0 + at["relative"])

@@ -112,7 +112,7 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
         body = entry.body
         if entry.kind != "point" or mounted is None or "samples" not in body:
             continue
-        mount = _mount(mounted)
+        mount = mount_of(mounted)
         if str(body.get("purpose", "")).startswith("rest_"):
             found.append(_rest(records, body, mount, channels))
         elif "phase" in body:
@@ -131,7 +131,8 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
     return Rotation(records.name, tuple(found), lines, step, tuple(f for one in found for f in one.flags))
 
 
-def _mount(settings: Mapping[str, Any]) -> Mount:
+def mount_of(settings: Mapping[str, Any]) -> Mount:
+    """How the cube stood, from the settings that the operator confirmed."""
     return Mount(str(settings["axis"]), bool(settings["inverted"]), float(settings["radius"]), float(settings["angle"]))
 
 

@@ -16,7 +16,7 @@ from rig.encoder import LINES
 from rig.errors import BadInput
 from rig.estimate.channels import channels_of
 from rig.estimate.conditions import smoothed
-from rig.estimate.rotating import AXES, SLOWEST
+from rig.estimate.rotating import SLOWEST, mount_of
 from rig.estimate.turning import HIGHEST_RATE, Shown, TurnRecords, stretches_of
 from rig.model import Channels
 from rig.records import Recorded, mounts, reference
@@ -304,14 +304,11 @@ def _together(shown: Sequence[Shown]) -> Shown:
 
 
 def _frame(mount: Mapping[str, Any]) -> Array:
-    """Outward, tangent and up in the case frame, as columns, (3, 3); see the turntable's frames in the reference."""
-    up, angle = AXES[str(mount["axis"])], float(mount["angle"])
-    sense = -1.0 if mount["inverted"] else 1.0
-    frame = np.zeros((3, 3))
-    frame[(up + 1) % 3] = math.cos(angle), math.sin(angle), 0.0
-    frame[(up + 2) % 3] = -sense * math.sin(angle), sense * math.cos(angle), 0.0
-    frame[up] = 0.0, 0.0, sense
-    return frame
+    """Outward, tangent and up in the case frame, as columns, (3, 3): what each axis feels of a unit along them."""
+    made, one, none = mount_of(mount), np.ones(()), np.zeros(())
+    felt = [[made.force(k, one, none, 0.0), made.force(k, none, one, 0.0), made.force(k, none, none, 1.0)]
+            for k in range(3)]  # fmt: skip
+    return np.array(felt, np.float64)
 
 
 def _logged(means: Array, names: Sequence[str], name: str, factor: float) -> Array:

@@ -22,7 +22,7 @@ from rig.estimate.search import Candidate, Score
 from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 
-Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
+Verdict = Literal["adequate", "missing", "unlisted"]
 CHANCE = 16.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
 PER_COORDINATE = 5.0  # more of it for each further coordinate
 PER_START = 1.5  # and for every factor e of starts tried
@@ -99,7 +99,7 @@ def diagnose(
             break
         steps.append(step)
         current = step.after
-    steps, current = _pruned(steps, current, base)
+    steps, current = _pruned(steps, current)
     return _concluded(base, current, steps, first_scores, misplaced)
 
 
@@ -153,13 +153,13 @@ def _choices(current: Fit, scored: Sequence[Score]) -> list[Choice]:
     return sorted(made, key=lambda one: -one.merit)
 
 
-def _pruned(steps: list[Step], current: Fit, base: Fit) -> tuple[list[Step], Fit]:
+def _pruned(steps: list[Step], current: Fit) -> tuple[list[Step], Fit]:
     """Without steps that the later ones have made needless."""
     for place in range(len(steps) - 2, -1, -1):
         step = steps[place]
         if step.taken.term.effect.looks_in:
             continue
-        terms = tuple(t for t in current.state.terms if t.prior or t.effect.name != step.taken.name)
+        terms = tuple(t for t in current.state.terms if t.prior or t.key != step.taken.term.key)
         without = fitting.fit(current.parts, replace(current.state, terms=terms), use=current.use)
         if without.objective - current.objective < CHANCE:
             steps = [one for one in steps if one is not step]

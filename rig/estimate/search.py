@@ -250,7 +250,8 @@ def _readjusted(sight: _Sight, state: fitting.State, order: fitting.Layout, size
     step = np.concatenate([sight.inverse @ _pull(sight, left), np.zeros(order.size - size)])
     moved = fitting.stepped(state, order, step)
     after = fitting.residual(found.parts, moved, found.use)
-    return (moved, after) if float(after @ after) < float(left @ left) else (state, left)
+    whole = [float(x @ x) + fitting.penalty(found.parts, s) for x, s in ((after, moved), (left, state))]
+    return (moved, after) if whole[0] < whole[1] else (state, left)
 
 
 def _gradient(sight: _Sight, state: fitting.State, left: Array) -> Array:

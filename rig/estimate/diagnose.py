@@ -120,8 +120,20 @@ def _step(
         return None, tuple(scored)
     assert best.fit is not None
     after = fitting.fit(current.parts, best.fit.state, use=current.use)
-    members = [one for one in choices if one.gain > best.gain - CLASS][:LARGEST_CLASS]
-    return Step(best, tuple(members), tuple(choices), current, after), tuple(scored)
+    best = replace(best, u=after.u(len(after.state.terms) - 1))
+    near = [k for k, one in enumerate(choices) if k and one.gain > best.gain - CLASS][: LARGEST_CLASS - 1]
+    members = (best, *(_polished(choices[k]) for k in near))
+    rest = (one for k, one in enumerate(choices) if k and k not in near)
+    return Step(best, members, (*members, *rest), current, after), tuple(scored)
+
+
+def _polished(choice: Choice) -> Choice:
+    """With all columns worked out afresh: a quick refit does not see what the effect itself uncovers of the model's
+    own parameters, and states too small an uncertainty.
+    """
+    assert choice.fit is not None
+    made = fitting.fit(choice.fit.parts, choice.fit.state, use=choice.fit.use)
+    return replace(choice, fit=made, u=made.u(len(made.state.terms) - 1))
 
 
 def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:

@@ -10,6 +10,8 @@ import pytest
 
 from rig import repair
 from rig.estimate.conclusion import OUTPUT_FILTER, Conclusion, conclude
+from rig.estimate.diagnose import diagnose
+from rig.estimate.evidence import evidence_of
 from rig.estimate.parameters import Estimate, plausible
 from rig.estimate.unseen import cannot_see
 from rig.model import Term
@@ -117,3 +119,14 @@ def test_every_unit_of_the_shelf_has_a_laboratory_s_unit() -> None:
         for on in effect.quantities or (None,):
             units |= set(effect.units(on))
     assert units - {"(m/s)/V", "1/m"} <= set(KINDS) | set(LABORATORY)
+
+
+def test_a_clipping_limit_is_no_better_known_than_the_gain_of_the_vibrometer() -> None:
+    hidden = [{"name": "saturation", "parameters": {"limit": 4.8, "quantity": "acceleration"}}]
+    document = {"procedure": "frequency_sweep", "axis": "x"}
+    found = diagnose(evidence_of([fast_bench.measure(document, fast_bench.world(7, hidden))]))
+    (step,) = found.steps
+    assert step.taken.name == "saturation"
+    at, u = step.taken.term.at["limit"], step.taken.u["limit"]
+    assert 0.003 < u / at < 0.006  # the certificate says 1 % with k = 2
+    assert abs(found.final.state.terms[-1].at["limit"] - 4.8) < 2.0 * u

@@ -212,6 +212,12 @@ def _left(parts: Sequence[Part], state: State, white: Sequence[Array], use: NDAr
     return whole if use is None else whole * use
 
 
+def squares(left: Array) -> float:
+    """χ² of rows; infinite, and no warning, for a step that went too far."""
+    with np.errstate(over="ignore"):
+        return float(left @ left)
+
+
 def penalty(parts: Sequence[Part], state: State) -> float:
     """Sum of squares of priors in their standard deviations."""
     values, weights = prior_of(parts, state)
@@ -272,7 +278,7 @@ def _shortened(found: Fit, step: Array) -> Fit | None:
             left = residual(found.parts, state, found.use)
             if not np.isfinite(left).all():
                 break
-            after = float(left @ left) + penalty(found.parts, state)
+            after = squares(left) + penalty(found.parts, state)
             if after < objective - (ENOUGH if best is not None else 0.0):
                 best, objective = state, after
             elif best is not None:

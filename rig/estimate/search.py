@@ -276,7 +276,7 @@ def _improved(
         moved = fitting.stepped(state, order, step)
         left = fitting.residual(found.parts, moved, found.use)
         finite = bool(np.isfinite(left).all())
-        after = float(left @ left) + fitting.penalty(found.parts, moved) if finite else math.inf
+        after = fitting.squares(left) + fitting.penalty(found.parts, moved) if finite else math.inf
         if after < objective:
             return moved, left, after
         step = 0.5 * step

@@ -24,7 +24,7 @@ import numpy as np
 
 from rig.dimensions import Dimension, dimension_of, solve, unknown
 from rig.errors import BadInput
-from rig.model import SI, Array, Channels, Coordinate, Effect, Motion, Parameter, Quantity, Term, Values
+from rig.model import EVERYWHERE, SI, Array, Channels, Coordinate, Effect, Motion, Parameter, Quantity, Term, Values
 from rig.motion import Periods
 
 LONGEST = 400  # characters
@@ -42,9 +42,10 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         "wy": "rad/s", "wz": "rad/s",
     }
 )  # fmt: skip
-ONLY_AT: Mapping[str, str] = MappingProxyType(
-    {"omega": "turntable", "alpha": "turntable", "theta": "turntable", "f": "shaker", "A": "shaker", "V": "shaker"}
-)
+ONLY_AT: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"omega": ("turntable",), "alpha": ("turntable",), "theta": ("turntable", "rotation"), "f": ("shaker",),
+     "A": ("shaker",), "V": ("shaker",)}
+)  # fmt: skip
 FUNCTIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     {"sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
      "sign": np.sign}
@@ -111,7 +112,7 @@ def formula_effect(
     text: str,
     *,
     on: Quantity,
-    places: tuple[str, ...] = ("shaker", "turntable"),
+    places: tuple[str, ...] = EVERYWHERE,
     units: Mapping[str, str] = MappingProxyType({}),
     starts: Mapping[str, tuple[float, ...]] = MappingProxyType({}),
     channels: tuple[str, ...] = (),
@@ -392,9 +393,9 @@ class _Dimensions:
 
 def _narrowed(formula: Formula, places: Sequence[str]) -> tuple[str, ...]:
     """Places where all signals of the formula exist."""
-    found = tuple(p for p in places if all(ONLY_AT.get(name, p) == p for name in formula.signals))
+    found = tuple(p for p in places if all(p in ONLY_AT.get(name, (p,)) for name in formula.signals))
     if not found:
-        column = next(_column(one) for one in _names(formula.tree) if ONLY_AT.get(one.id) not in (None, *places[:1]))
+        column = next(_column(one) for one in _names(formula.tree) if places[0] not in ONLY_AT.get(one.id, places))
         raise _wrong(column, f"signals that no place of {_list(places)} has together", "signals of one place")
     return found
 

@@ -29,10 +29,12 @@ Quantity = Literal["acceleration", "rate"]
 Values = Mapping[str, float]
 SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
+# kinds of experiment: the rig's own two, and imported ones: turned about one axis, moved freely, poses against gravity
+EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
 
 __all__ = [
-    "BOTH", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion", "Parameter", "Periods",
-    "Quantity", "Stage", "Stretches", "Term", "Values", "volts",
+    "BOTH", "EVERYWHERE", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion",
+    "Parameter", "Periods", "Quantity", "Stage", "Stretches", "Term", "Values", "volts",
 ]  # fmt: skip
 
 
@@ -118,7 +120,7 @@ class Effect:
     title: ClassVar[str]
     equation: ClassVar[str]
     quantities: ClassVar[tuple[Quantity, ...]] = ()
-    places: ClassVar[tuple[str, ...]] = ("shaker", "turntable")
+    places: ClassVar[tuple[str, ...]] = EVERYWHERE
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     missing: ClassVar[str]

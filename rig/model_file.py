@@ -2,7 +2,7 @@
 
     format: 1
     unit: SIM-CUBE-1
-    start: datasheet                # or paper: the same without an output filter
+    start: datasheet                # or paper: without output filters; or shared: one sensitivity for all axes
     simulated: true
     runs: [2026-11-02T080000-sweep-x]
     effects:
@@ -36,17 +36,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from rig import config
 from rig.document import Document, KeyPath
 from rig.errors import BadInput, ConfigError, Problem
-from rig.model import BOTH, Effect, Quantity, Term
+from rig.model import BOTH, EVERYWHERE, Effect, Quantity, Term
 
 if TYPE_CHECKING:
     from rig.estimate.evidence import Evidence
     from rig.estimate.fit import Fit
     from rig.estimate.parameters import Estimate
 
-Start = Literal["datasheet", "paper"]
+Start = Literal["datasheet", "paper", "shared"]
 Action = Literal["start", "add", "remove", "fit"]
 FORMAT: Literal[1] = 1
 OUTPUT_FILTER = "output_filter"  # an entry that gives every channel of the paper's model its output filter
+OWN_SENSITIVITY = "own_sensitivity"  # an entry that gives every channel of the shared model a sensitivity of its own
+OF_CHANNELS = (OUTPUT_FILTER, OWN_SENSITIVITY)  # no effects of the shelf but parts of every channel
 DIGITS = 10  # of a value: more is noise that would show as a difference
 AGREE = 1e-6  # relative: parameters and coordinates that say the same
 
@@ -78,7 +80,7 @@ class Entry(Strict):
     effect: str
     formula: str | None = None
     on: Quantity | None = None
-    places: tuple[Literal["shaker", "turntable"], ...] | None = None
+    places: tuple[Literal["shaker", "turntable", "rotation", "free", "poses"], ...] | None = None
     units: dict[str, str] = Field(default_factory=dict)
     values: dict[str, float] = Field(default_factory=dict)
     coordinates: dict[str, Coordinate] = Field(default_factory=dict)
@@ -137,7 +139,12 @@ class Model(Strict):
     @property
     def poles(self) -> bool:
         """Whether channels have the output filter: from the start, or added to the paper's model."""
-        return self.start == "datasheet" or any(entry.effect == OUTPUT_FILTER for entry in self.effects)
+        return self.start != "paper" or any(entry.effect == OUTPUT_FILTER for entry in self.effects)
+
+    @property
+    def shared(self) -> bool:
+        """Whether all channels of a quantity have one sensitivity."""
+        return self.start == "shared" and not any(entry.effect == OWN_SENSITIVITY for entry in self.effects)
 
 
 def path_of(runs: Path, serial: str) -> Path:
@@ -202,7 +209,7 @@ def _writer() -> type[Any]:
 
 def terms_of(model: Model, shelf: Mapping[str, Effect]) -> list[Term]:
     """The effects at their coordinates, in order. Raises BadInput for one that the shelf does not have."""
-    return [_term(entry, shelf) for entry in model.effects if entry.effect != OUTPUT_FILTER]
+    return [_term(entry, shelf) for entry in model.effects if entry.effect not in OF_CHANNELS]
 
 
 def _term(entry: Entry, shelf: Mapping[str, Effect]) -> Term:
@@ -224,7 +231,7 @@ def effect_of(entry: Entry, shelf: Mapping[str, Effect]) -> Effect:
         from rig.formula import formula_effect
 
         starts = {name: (value,) for name, value in entry.values.items() if value != 0.0}
-        places = tuple(entry.places) if entry.places else ("shaker", "turntable")
+        places = tuple(entry.places) if entry.places else EVERYWHERE
         return formula_effect(
             entry.effect, entry.formula, on=entry.on or "acceleration", places=places, units=entry.units, starts=starts
         )
@@ -247,7 +254,7 @@ def _mistakes(document: Document, model: Model, shelf: Mapping[str, Effect] | No
         yield document.problem(("covariance", "values"), f"found another shape, wanted {size} rows of {size} numbers")
     for number, entry in enumerate(model.effects):
         at: KeyPath = ("effects", number)
-        if entry.effect == OUTPUT_FILTER:
+        if entry.effect in OF_CHANNELS:
             continue
         if entry.formula is not None and entry.on is None:
             yield document.problem((*at, "on"), "found nothing, wanted acceleration or rate")
@@ -316,7 +323,7 @@ def with_fit(
 
     formulas = {entry.effect: entry for entry in model.effects if entry.formula is not None}
     known = known or {}
-    filters = [entry for entry in model.effects if entry.effect == OUTPUT_FILTER]
+    filters = [entry for entry in model.effects if entry.effect in OF_CHANNELS]
     numbers = [n for n, term in enumerate(fit.state.terms) if not term.prior]
     heldout, (worst_at, worst) = heldout_error(evidence, fit), worst_of(fit)
     step = Step(

@@ -56,9 +56,9 @@ class Model:
     """A model of one unit, fitted to all its runs together.
 
     `runs`: folders of runs, or what `open_run` returned. `start`: "datasheet" (sensitivity S, zero output V₀ and one
-    pole of the output filter for every channel), or "paper" (S and V₀ only). `effects`: a folder with effects of one's
-    own. `add` and `remove` change the model and return it, so that calls can be chained. Raises BadInput for runs of
-    several units and for runs without a sweep or a turning platter.
+    pole of the output filter for every channel), "paper" (S and V₀ only), or "shared" (one S for all channels of a
+    quantity). `effects`: a folder with effects of one's own. `add` and `remove` change the model and return it, so that
+    calls can be chained. Raises BadInput for runs of several units and for runs that no model can be compared with.
     """
 
     def __init__(self, *runs: str | Path | Recorded, start: Start = "datasheet", effects: Path | None = None) -> None:
@@ -95,13 +95,16 @@ class Model:
         """Error against noise by group of rows: `groups`, `worst` conditions in words, tests of whiteness."""
         from rig.estimate.misfit import compare
 
-        return compare(self._bench.evidence, self.terms, self._done.model.poles)
+        return compare(self._bench.evidence, self.terms, self._done.model.poles, self._done.model.shared)
 
     def diagnose(self) -> Conclusion:
         """What is missing: `verdict`, `candidates` best first with parameters (SI value, unit, u), `cannot_see`."""
         from rig.estimate.conclusion import conclude
 
-        return conclude(self._bench.evidence, self.terms, self._bench.shelf, poles=self._done.model.poles)
+        model = self._done.model
+        return conclude(
+            self._bench.evidence, self.terms, self._bench.shelf, poles=model.poles, shared=model.shared
+        )
 
     def add(self, name: str, on: Quantity | None = None, *, formula: str | None = None) -> Model:
         """Add an effect of the shelf, or a term by formula (`k * omega**2`), and refit. Raises BadInput."""

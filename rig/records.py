@@ -47,6 +47,10 @@ class Recorded(Protocol):
         """Simultaneous traces of the oscilloscope."""
         ...
 
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
+        ...
+
 
 @dataclass(frozen=True)
 class Signals:
@@ -105,6 +109,10 @@ class Records:
         instants = np.asarray(float(meta["start"]) + float(meta["interval"]) * np.arange(volts.shape[1]), np.float64)
         clipped = dict(zip(meta["names"], meta.get("clipped", ()), strict=False))
         return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
+
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
+        return self.run.block(name), tuple(self._blocks[name][0].meta["columns"])
 
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""

@@ -19,7 +19,7 @@ from rig.estimate.fit import Fit
 from rig.estimate.floor import Floor, with_floor
 from rig.estimate.quality import error_of
 from rig.model import Effect, Quantity, Term
-from rig.model_file import OUTPUT_FILTER, Action, Entry, Model, Start, Step, load, terms_of, with_fit
+from rig.model_file import OF_CHANNELS, Action, Entry, Model, Start, Step, load, terms_of, with_fit
 from rig.records import Recorded
 
 SAME = 1e-3  # relative: errors of one model on the same records
@@ -74,7 +74,7 @@ def new(bench: Bench, start: Start) -> Model:
 
 def fit_of(bench: Bench, model: Model) -> Fit:
     """The model fitted to the runs."""
-    return bench.evidence.fitted(terms_of(model, bench.shelf), poles=model.poles)
+    return bench.evidence.fitted(terms_of(model, bench.shelf), poles=model.poles, shared=model.shared)
 
 
 def fitted(bench: Bench, model: Model) -> Repaired:
@@ -93,8 +93,8 @@ def added(bench: Bench, model: Model, name: str, on: Quantity | None = None, for
     `formula` the effect is a term of one's own of this name. Raises BadInput for an effect that cannot be added.
     """
     base = _on_these_runs(bench, model)
-    if name == OUTPUT_FILTER and formula is None:
-        return _with_filter(bench, base)
+    if name in OF_CHANNELS and formula is None:
+        return _with_part(bench, base, name)
     entry = Entry(effect=name, formula=formula, on=on)
     effect = _addable(bench, base.model, entry)
     term, known, remarks, after = (_by_test if effect.looks_in else _by_score)(bench, base, effect, on)
@@ -109,13 +109,14 @@ def added(bench: Bench, model: Model, name: str, on: Quantity | None = None, for
     return Repaired(made, after, base.after, made.history[-1], remarks)
 
 
-def _with_filter(bench: Bench, base: Repaired) -> Repaired:
-    """The paper's model with the channels' output filters, refitted."""
-    if base.model.poles:
-        raise BadInput(f"add: found {OUTPUT_FILTER} in the model already, wanted another effect")
-    more = base.model.model_copy(update={"effects": (Entry(effect=OUTPUT_FILTER), *base.model.effects)})
+def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
+    """The paper's model with the channels' output filters, or the shared one with their own sensitivities, refitted."""
+    lacks = not base.model.poles if name == OF_CHANNELS[0] else base.model.shared
+    if not lacks:
+        raise BadInput(f"add: found {name} in the model already, wanted another effect")
+    more = base.model.model_copy(update={"effects": (Entry(effect=name), *base.model.effects)})
     found = fit_of(bench, more)
-    made = with_fit(more, bench.evidence, found, action="add", effect=OUTPUT_FILTER, when=bench.when,
+    made = with_fit(more, bench.evidence, found, action="add", effect=name, when=bench.when,
                     known=_known(bench, more))  # fmt: skip
     return Repaired(made, found, base.after, made.history[-1])
 

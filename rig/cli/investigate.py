@@ -88,7 +88,8 @@ def _diagnosed(work: Opened) -> Diagnosis:
     from rig.model_file import terms_of
 
     terms = terms_of(work.model, work.bench.shelf)
-    return diagnose(work.bench.evidence, terms, shelf=work.bench.shelf, poles=work.model.poles)
+    model = work.model
+    return diagnose(work.bench.evidence, terms, shelf=work.bench.shelf, poles=model.poles, shared=model.shared)
 
 
 def _next_after(

@@ -27,8 +27,9 @@ MODEL = click.option(
 )
 START = click.option(
     "--start",
-    type=click.Choice(("datasheet", "paper")),
-    help="Where a new model starts: the data sheet's, or the paper's without output filter [default: datasheet].",
+    type=click.Choice(("datasheet", "paper", "shared")),
+    help="Where a new model starts: the data sheet's, the paper's without output filter, or one with a single "
+    "sensitivity for all axes [default: datasheet].",
 )
 EFFECTS = click.option(
     "--effects",
@@ -111,7 +112,7 @@ def _compared(work: Opened, model: Model) -> Comparison:
     from rig.estimate.misfit import compare as compared
     from rig.model_file import terms_of
 
-    return compared(work.bench.evidence, terms_of(model, work.bench.shelf), model.poles)
+    return compared(work.bench.evidence, terms_of(model, work.bench.shelf), model.poles, model.shared)
 
 
 def _title(what: str, work: Opened) -> str:
@@ -172,7 +173,8 @@ def diagnose(
 
     work = opened(names, runs, model, start, effects)
     shelf = work.bench.shelf
-    said = conclude(work.bench.evidence, terms_of(work.model, shelf), shelf, poles=work.model.poles)
+    terms = terms_of(work.model, shelf)
+    said = conclude(work.bench.evidence, terms, shelf, poles=work.model.poles, shared=work.model.shared)
     if as_json:
         print_json(diagnosis_as_json(said, _compared(work, work.model).as_json([])["groups"]))
         return

@@ -11,7 +11,7 @@ class EncoderEccentricity(Effect):
     stage = "reference"
     title = "eccentricity of the encoder's disk"
     equation = "φ_shown = φ + ratio·sin(φ − direction), φ clockwise from the index"
-    places = ("turntable",)
+    places = ("turntable", "rotation")
     coordinates = (Coordinate("sine", 3e-4), Coordinate("cosine", 3e-4))
     parameters = (
         Parameter("ratio", "rad", (0.0, 0.5), (4e-4, 2e-3)),

@@ -11,7 +11,7 @@ class EncoderSecondHarmonic(Effect):
     stage = "reference"
     title = "tilt or ellipticity of the encoder's disk"
     equation = "φ_shown = φ + ratio·sin(2·(φ − direction)), φ clockwise from the index"
-    places = ("turntable",)
+    places = ("turntable", "rotation")
     coordinates = (Coordinate("sine", 5e-5), Coordinate("cosine", 5e-5))
     parameters = (
         Parameter("ratio", "rad", (0.0, 0.5), (4e-5, 6e-4)),

@@ -13,7 +13,7 @@ class LeverArm(Effect):
     title = "lever arm"
     equation = "u = f + α×r + ω×(ω×r), r = (x, y, z)"
     quantities = ("acceleration",)
-    places = ("turntable",)
+    places = ("turntable", "rotation", "free")
     coordinates = (Coordinate("x", 2e-3), Coordinate("y", 2e-3), Coordinate("z", 2e-3))
     parameters = (
         Parameter("length", "m", (0.0, 1.0), (1e-3, 0.01)),
@@ -26,7 +26,7 @@ class LeverArm(Effect):
     source = "error sources T15, T16, S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
-        if motion.place != "turntable":
+        if motion.place not in self.places:
             return felt
         return np.asarray(felt + rigid(motion, np.array([at["x"], at["y"], at["z"]]))[channels.axis])
 

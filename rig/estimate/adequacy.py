@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rig.estimate.fit import Fit
 from rig.estimate.sines import LINES, MAINS_ORDERS, Sines
+from rig.estimate.tabled import Tabled
 from rig.estimate.turning import Turning
 from rig.motion import ORDERS, Array
 
@@ -63,6 +64,8 @@ def groups(found: Fit) -> list[Group]:
             result += _of_sines(part, left, counted)
         elif isinstance(part, Turning):
             result += _of_turning(part, left, counted)
+        elif isinstance(part, Tabled):
+            result += _of_table(part, left, counted)
     return [*(one for one in result if one.count >= FEWEST), *_pulls(found)]
 
 
@@ -114,6 +117,15 @@ def _of_turning(part: Turning, left: Array, counted: NDArray[np.bool_]) -> Itera
         for domain, mask in masks.items():
             one = _group(part.name, "turntable", channel, domain, table[row, mask], used[row, mask])
             yield replace(one, allowance=allowance)
+
+
+def _of_table(part: Tabled, left: Array, counted: NDArray[np.bool_]) -> Iterator[Group]:
+    c = len(part.row_names)
+    table, used = (left**2).reshape(c, -1), counted.reshape(c, -1)
+    for row, name in enumerate(part.row_names):
+        for domain, mask in part.domains().items():
+            one = _group(part.name, part.place, name, domain, table[row, mask], used[row, mask])
+            yield replace(one, allowance=part.allowance)
 
 
 def bands_of(part: Turning) -> dict[str, NDArray[np.bool_]]:

@@ -25,6 +25,7 @@ from rig.estimate.unseen import cannot_see
 from rig.model import Effect, Quantity, Term
 
 OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
+OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
 DETERMINED = 0.5  # of the prior uncertainty of a corner: below it the data have their say
 EVENS = 0.5  # the highest probability of a candidate that leaves more than noise
 
@@ -95,20 +96,21 @@ class Conclusion:
 
 
 def conclude(
-    evidence: Evidence, terms: Sequence[Term], shelf: Mapping[str, Effect], *, poles: bool = True
+    evidence: Evidence, terms: Sequence[Term], shelf: Mapping[str, Effect], *, poles: bool = True, shared: bool = False
 ) -> Conclusion:
-    """Diagnose a model with these effects; `poles` says whether it has the channels' output filters.
+    """Diagnose a model with these effects; `poles` says whether it has the channels' output filters, `shared` whether
+    all channels of a quantity have one sensitivity.
 
-    Without them (the paper's model) the filter is tried first: it belongs to every channel, and what else is missing
-    shows only beside it.
+    Without filters (the paper's model) the filter is tried first: it belongs to every channel, and what else is missing
+    shows only beside it. So are sensitivities of their own where they are shared.
     """
     found = concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=True), shelf)
-    if poles:
+    if poles and not shared:
         return found
-    base = evidence.fitted(terms, poles=False)
-    if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a filter would explain
-        return concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=False), shelf)
-    first = _output_filter(evidence, found.diagnosis.base)
+    base = evidence.fitted(terms, poles=poles, shared=shared)
+    if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a part of every channel would explain
+        return concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=poles, shared=shared), shelf)
+    first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base)
     rest = [replace(one, step=one.step + 1) for one in found.candidates]
     candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
     at, worst = worst_of(base)
@@ -134,6 +136,23 @@ def _output_filter(evidence: Evidence, found: Fit) -> Candidate:
         parameters=poles, plausible=True,
         because="gain falls and phase lags with frequency as one pole per channel, at the corner of its data sheet",
         separate_by="a sweep past the corner: one pole falls by 20 dB per decade", step=1, taken=True,
+    )  # fmt: skip
+
+
+def _own_sensitivity(evidence: Evidence, found: Fit) -> Candidate:
+    """A sensitivity of its own for every channel, relative to that of its data sheet."""
+    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    gains = {}
+    for number, part in enumerate(found.parts):
+        own = found.layout.own(part, number)[:, 0]
+        for name, at in zip(part.channels.names, own, strict=True):
+            gains[f"sensitivity {name}"] = Estimate(1.0 + found.state.gain[name], "1", float(u[at]))
+    return Candidate(
+        effect=OWN_SENSITIVITY, title="a sensitivity of its own for every channel", on=None, members=(OWN_SENSITIVITY,),
+        probability=1.0, error_after=error_of(found), heldout_error_after=heldout_error(evidence, found),
+        parameters=gains, plausible=True,
+        because="the error is in proportion to the input, with another factor in every channel",
+        separate_by="the same input along each axis in turn", step=1, taken=True,
     )  # fmt: skip
 
 

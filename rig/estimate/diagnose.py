@@ -82,11 +82,12 @@ class Diagnosis:
 
 
 def diagnose(
-    evidence: Evidence, terms: Sequence[Term] = (), *, shelf: Mapping[str, Effect] | None = None, poles: bool = True
-) -> Diagnosis:
+    evidence: Evidence, terms: Sequence[Term] = (), *, shelf: Mapping[str, Effect] | None = None, poles: bool = True,
+    shared: bool = False,
+) -> Diagnosis:  # fmt: skip
     """Find what is missing in a model with these effects, without reading anything but the evidence."""
     shelf = shelf_of() if shelf is None else shelf
-    base = evidence.fitted(terms, poles=poles)
+    base = evidence.fitted(terms, poles=poles, shared=shared)
     misplaced = tuple(instruments.implausible(base))
     steps: list[Step] = []
     current = base

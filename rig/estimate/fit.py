@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +54,22 @@ class Part(Protocol):
     def blocks(self) -> list[tuple[slice, Indices]]: ...
 
 
+@runtime_checkable
+class Joint(Protocol):
+    """A part whose rows belong to several channels at once: it works out the columns of their own parameters itself."""
+
+    def own_columns(self, local: Local, terms: Sequence[Term], raw: NDArray[np.inexact]) -> list[Array]:
+        """Derivatives of the rows by relative gain, log pole and zero output of every channel, three of (rows, c)."""
+        ...
+
+
 @dataclass(frozen=True)
 class State:
     """All parameters: relative changes of sensitivities and logarithms of poles against the data sheet, by channel;
     zeros (V) by part and channel; coefficients of every part's nuisances; the terms with their coordinates.
+
+    `leader` names the channel whose relative gain each channel has: its own, or in a model with one sensitivity for all
+    channels of a quantity the first one's.
     """
 
     gain: Mapping[str, float]
@@ -66,11 +78,17 @@ class State:
     nuisance: tuple[Array, ...]
     terms: tuple[Term, ...]
     poles: bool = True  # False: the model has no output filter (the paper's)
+    leader: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def shared(self) -> bool:
+        """Whether channels share a sensitivity."""
+        return any(name != leader for name, leader in self.leader.items())
 
     def local(self, part: Part, number: int) -> Local:
         """Sensitivity, pole and zero of a part's channels."""
         names = part.channels.names
-        gain = np.array([self.gain[n] for n in names])
+        gain = np.array([self.gain[self.leader.get(n, n)] for n in names])
         if not self.poles:
             pole = np.full(len(names), np.inf)
         else:
@@ -78,9 +96,14 @@ class State:
         return Local(part.channels.sensitivity * (1.0 + gain), pole, self.zero[number])
 
 
-def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True) -> State:
-    """Where a fit starts: data-sheet values, no offset."""
+def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, shared: bool = False) -> State:
+    """Where a fit starts: data-sheet values, no offset. `shared`: one sensitivity for all channels of a quantity."""
     names = dict.fromkeys(name for part in parts for name in part.channels.names)
+    first: dict[bool, str] = {}
+    leader = {
+        n: first.setdefault(bool(rate), n) if shared else n
+        for part in parts for n, rate in zip(part.channels.names, part.channels.rates, strict=True)
+    }  # fmt: skip
     return State(
         dict.fromkeys(names, 0.0),
         dict.fromkeys(names, 0.0),
@@ -88,6 +111,7 @@ def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True) -
         tuple(np.zeros(part.extra.shape[1]) for part in parts),
         tuple(terms),
         poles,
+        leader,
     )
 
 
@@ -105,6 +129,7 @@ class Layout:
     """Where each parameter stands in the vector."""
 
     channels: tuple[str, ...]
+    gains: Mapping[str, int]  # place of every channel's gain: that of its leader
     zeros: tuple[int, ...]  # first zero of every part
     nuisances: tuple[int, ...]
     terms: tuple[int, ...]  # first coordinate of every term
@@ -113,7 +138,8 @@ class Layout:
     def own(self, part: Part, number: int) -> Indices:
         """Gain, pole and zero of every channel of a part, (c, 3)."""
         at = np.array([self.channels.index(n) for n in part.channels.names])
-        return np.stack([2 * at, 2 * at + 1, self.zeros[number] + np.arange(len(at))], axis=1)
+        gain = np.array([self.gains[n] for n in part.channels.names])
+        return np.stack([gain, 2 * at + 1, self.zeros[number] + np.arange(len(at))], axis=1)
 
 
 def layout(parts: Sequence[Part], state: State) -> Layout:
@@ -130,7 +156,8 @@ def layout(parts: Sequence[Part], state: State) -> Layout:
     for term in state.terms:
         terms.append(at)
         at += len(fitted(term))
-    return Layout(channels, tuple(zeros), tuple(nuisances), tuple(terms), at)
+    gains = {name: 2 * channels.index(state.leader.get(name, name)) for name in channels}
+    return Layout(channels, gains, tuple(zeros), tuple(nuisances), tuple(terms), at)
 
 
 def fitted(term: Term) -> list[str]:
@@ -343,14 +370,7 @@ def blocks_of(
 ) -> list[Block]:  # fmt: skip
     """Columns of all parameters for the rows of one part, `raw` being its prediction at the state."""
     local = state.local(part, number)
-    nearby = [
-        replace(local, sensitivity=local.sensitivity + STEP * part.channels.sensitivity),
-        replace(local, pole=local.pole * np.exp(STEP)),
-        replace(local, zero=local.zero + STEP),
-    ]
-    if not state.poles:
-        nearby[1] = local
-    own = [part.each_channel((part.raw(one, state.terms) - raw) / STEP) for one in nearby]
+    own = _own_columns(part, local, state, raw)
     shared, where = [part.extra], [order.nuisances[number] + np.arange(part.extra.shape[1])]
     for at, term in zip(order.terms, state.terms, strict=True):
         others = [one for one in state.terms if one is not term]
@@ -365,8 +385,33 @@ def blocks_of(
         if mask is not None:
             matrix = matrix * mask[rows, None]
         index = np.concatenate([*(mine[channels, k] for k in range(3)), columns])
+        if state.shared:
+            index, matrix = _merged(index, matrix)
         blocks.append(Block(slice(first + rows.start, first + rows.stop), index, matrix))
     return blocks
+
+
+def _merged(index: Indices, matrix: Array) -> tuple[Indices, Array]:
+    """Columns of one parameter added up."""
+    different, place = np.unique(index, return_inverse=True)
+    found = np.zeros((len(matrix), len(different)))
+    for column, at in enumerate(place.tolist()):
+        found[:, at] += matrix[:, column]
+    return different, found
+
+
+def _own_columns(part: Part, local: Local, state: State, raw: NDArray[np.inexact]) -> list[Array]:
+    """Derivatives by gain, pole and zero of every channel, each (rows,) or (rows, c)."""
+    if isinstance(part, Joint):
+        return part.own_columns(local, state.terms, raw)
+    nearby = [
+        replace(local, sensitivity=local.sensitivity + STEP * part.channels.sensitivity),
+        replace(local, pole=local.pole * np.exp(STEP)),
+        replace(local, zero=local.zero + STEP),
+    ]
+    if not state.poles:
+        nearby[1] = local
+    return [part.each_channel((part.raw(one, state.terms) - raw) / STEP) for one in nearby]
 
 
 def term_columns(
@@ -382,7 +427,8 @@ def term_columns(
     if base is None:
         base = part.raw(local, [*others, term])
     index = part.channels.of(term.on)
-    only = index if term.on is not None and term.effect.stage != "reference" else None
+    apart = term.on is not None and term.effect.stage != "reference" and not isinstance(part, Joint)
+    only = index if apart else None
     columns = []
     for coordinate in term.effect.coordinates:
         if not coordinate.searched:

@@ -23,6 +23,7 @@ from rig.estimate.fit import Fit, State
 from rig.estimate.misfit_cells import Cell, Mask, Table, cell, cells, family_of, span, tables, turned
 from rig.estimate.misfit_laws import Law, in_words, laws, strongest
 from rig.estimate.sines import Sines
+from rig.estimate.tabled import Tabled
 from rig.estimate.turning import Turning
 from rig.estimate.whiteness import FEWEST as FEWEST_VALUES
 from rig.estimate.whiteness import Whiteness, fisher_g, ljung_box, runs
@@ -91,9 +92,9 @@ class Comparison:
         }  # fmt: skip
 
 
-def compare(evidence: Evidence, terms: Sequence[Term] = (), poles: bool = True) -> Comparison:
+def compare(evidence: Evidence, terms: Sequence[Term] = (), poles: bool = True, shared: bool = False) -> Comparison:
     """Fit the data-sheet model with these effects to everything, and once more without held-out rows."""
-    start = evidence.start(terms, poles=poles)
+    start = evidence.start(terms, poles=poles, shared=shared)
     whole = fitting.fit(evidence.parts, start)
     training = fitting.fit(evidence.parts, start, use=evidence.training)
     return comparison(whole, training.state, evidence.training)
@@ -123,19 +124,28 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
         held = unseen[offsets[table.number] : offsets[table.number + 1]].reshape(c, -1)
         noises = _noises(table)
         for row, name in enumerate(table.names):
-            key = (table.part.place, family_of(name))
+            title = table.part.title(name) if isinstance(table.part, Tabled) else family_of(name)
+            key = (table.part.place, title)
             used, out = table.used[row], table.used[row] & np.isfinite(held[row])
+            chi2 = float(table.squares[row][used].sum())
             counts = [float(used.sum()), float(np.sum(held[row][out] ** 2)), float(out.sum())]
-            sums.setdefault(key, []).append(np.array([*noises[row], float(table.squares[row][used].sum()), *counts]))
+            sums.setdefault(key, []).append(np.array([*noises[row], chi2, *counts, _error(table, row)]))
             names.setdefault(key, {})[name] = None
     for (place, family), rows in sums.items():
-        square, number, chi2, count, held_chi2, held_count = np.sum(rows, axis=0).tolist()
-        ratio = _root(chi2, count)
-        noise = _root(square, number)
+        square, number, chi2, count, held_chi2, held_count, error = np.sum(rows, axis=0).tolist()
+        noise, ratio = _root(square, number), _root(chi2, count)
         yield Group(
-            f"{place}, {TITLES.get(family, family)}", tuple(names[place, family]), place, noise * ratio, noise,
-            ratio, _root(held_chi2, held_count),
+            f"{place}, {TITLES.get(family, family)}", tuple(names[place, family]), place,
+            noise * ratio if math.isnan(error) else _root(error, number), noise, ratio, _root(held_chi2, held_count),
         )  # fmt: skip
+
+
+def _error(table: Table, row: int) -> float:
+    """Sum of squares of what is left, SI², where the part knows it; NaN else."""
+    used = table.used[row]
+    return (
+        float(table.squares[row][used] @ table.part.noise()[row][used]) if isinstance(table.part, Tabled) else math.nan
+    )
 
 
 def _root(total: float, count: float) -> float:
@@ -148,6 +158,9 @@ def _number(value: float) -> float | None:
 
 def _noises(table: Table) -> Array:
     """Sum of variances of the noise, referred to the input by the data sheet, SI², and of how many numbers, (c, 2)."""
+    if isinstance(table.part, Tabled):
+        total = np.sum(np.where(table.used, table.part.noise(), 0.0), axis=1)
+        return np.stack([total, table.part.numbers()], axis=1)
     sensitivity = table.part.channels.sensitivity
     if isinstance(table.part, Sines):
         return _line_noises(table.part, sensitivity, table.used)
@@ -237,7 +250,7 @@ def _condition(found: Fit, one: Cell) -> Condition:
 
 def _alike(one: Cell) -> Cell:
     """The component in every channel of the same quantity."""
-    rates = one.table.part.channels.rates
+    rates = one.table.rates
     rows = tuple(np.flatnonzero(rates == rates[one.rows[0]]).tolist())
     return cell(one.table, one.component, rows) or one
 
@@ -276,7 +289,8 @@ def _joined(bad: Sequence[Cell], kind: str) -> str:
     if kind != "frequency":
         return " and ".join(c.cut.words for c in bad if c.cut is not None)
     part = bad[0].table.part
-    assert isinstance(part, Sines)
+    if not isinstance(part, Sines):
+        return " and ".join(c.cut.words for c in bad if c.cut is not None)
     width = bad[0].table.squares.shape[1] // len(part.data.frequency)
     f = np.repeat(part.data.frequency, width)
     inside = np.concatenate([f[c.cut.mask] for c in bad if c.cut is not None])
@@ -293,7 +307,7 @@ def _who(channels: Sequence[str], table: Table) -> str:
             whole.append(TITLES.get(family, family))
         else:
             title = TITLES.get(family, family).removesuffix("s")
-            said.append(f"{title} {' and '.join(n.rsplit('_', 1)[1] for n in mine)}")
+            said.append(f"{title} {' and '.join(n.removeprefix(family).strip('_') for n in mine)}".strip())
     return ", ".join(([f"all axes of {' and '.join(whole)}"] if whole else []) + said)
 
 
@@ -307,8 +321,21 @@ def _whiteness(found: Fit, made: Sequence[Table]) -> Iterator[Whiteness]:
         left = found.left[offsets[table.number] : offsets[table.number + 1]]
         if isinstance(table.part, Sines):
             yield from _along(found, table, table.part, left)
+        elif isinstance(table.part, Tabled):
+            yield from _of_rows(table, left)
         else:
             yield from _of_platter(table, table.part, left)
+
+
+def _of_rows(table: Table, left: Array) -> Iterator[Whiteness]:
+    """Each kind of row of each name, in its order."""
+    whole = left.reshape(len(table.names), -1)
+    for row, name in enumerate(table.names):
+        for what, mask in table.components.items():
+            some = whole[row][mask & table.used[row]]
+            if len(some) >= FEWEST_VALUES:
+                yield runs(some, f"{table.part.name} {name}, {what}")
+                yield ljung_box(some, where=f"{table.part.name} {name}, {what}")
 
 
 def _along(found: Fit, table: Table, part: Sines, left: Array) -> Iterator[Whiteness]:

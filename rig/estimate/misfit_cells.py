@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rig.estimate.adequacy import ALLOWANCE, FEWEST, bands_of, domains
 from rig.estimate.fit import Fit
 from rig.estimate.sines import LINES, Sines, split
+from rig.estimate.tabled import Cut, Tabled
 from rig.estimate.turning import Turning
 from rig.motion import Array, Complexes
 
@@ -30,19 +31,10 @@ BESIDE = 2.5  # lines on either side of an order
 
 
 @dataclass(frozen=True)
-class Cut:
-    """Rows of one channel's table under one condition: `kind` as level or time, `words` as a person says it."""
-
-    kind: str
-    words: str
-    mask: Mask
-
-
-@dataclass(frozen=True)
 class Table:
     """Squares of what a part left over, (channels, width), and what each place of the width stands for."""
 
-    part: Sines | Turning
+    part: Sines | Turning | Tabled
     number: int
     squares: Array
     used: Mask
@@ -51,7 +43,12 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.part.channels.names
+        return self.part.row_names if isinstance(self.part, Tabled) else self.part.channels.names
+
+    @property
+    def rates(self) -> Mask:
+        """Whether each name's rows are of a rate, (names,)."""
+        return self.part.row_rates if isinstance(self.part, Tabled) else self.part.channels.rates
 
 
 @dataclass(frozen=True)
@@ -110,6 +107,11 @@ def tables(found: Fit) -> list[Table]:
             squares = (found.left[first:end] ** 2).reshape(c, -1)
             cuts = tuple(_cuts_of_turning(part))
             made.append(Table(part, number, squares, counted.reshape(c, -1), components_of(part), cuts))
+        elif isinstance(part, Tabled):
+            shape = (len(part.row_names), -1)
+            squares = (found.left[first:end] ** 2).reshape(shape)
+            cuts = tuple(part.cuts())
+            made.append(Table(part, number, squares, counted.reshape(shape), part.domains(), cuts))
     return made
 
 

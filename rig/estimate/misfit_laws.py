@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rig.estimate.fit import Fit, Part
 from rig.estimate.misfit_cells import Cell, Mask
 from rig.estimate.sines import LINES, Sines
+from rig.estimate.tabled import Tabled
 from rig.estimate.turning import Turning
 from rig.motion import Array
 
@@ -62,6 +63,8 @@ class Law:
 def laws(found: Fit, one: Cell) -> list[Law]:
     """Laws for the component of a cell, in its channels, the best first."""
     part, number = one.table.part, one.table.number
+    if isinstance(part, Tabled):
+        return _table_laws(found, one, part)
     if isinstance(part, Sines) and one.component in ("magnitude", "phase") and _coarse(found, one):
         return _coarse_laws(found, one)
     shapes = _sine_shapes(found, one) if isinstance(part, Sines) else _turning_shapes(part, one.component)
@@ -76,6 +79,22 @@ def laws(found: Fit, one: Cell) -> list[Law]:
             row: _score(found, number, covariance, [column[row] for column in columns]) - bare[row] for row in one.rows
         }
         made.append(Law(shape.words, {one.table.names[row]: gain for row, gain in gains.items()}))
+    return sorted(made, key=lambda law: -law.gain)
+
+
+def _table_laws(found: Fit, one: Cell, part: Tabled) -> list[Law]:
+    """Laws that the part itself proposes: what each takes from the rows of the component, one coefficient a name."""
+    first = found.offsets()[one.table.number]
+    left = found.left[first : first + part.rows].reshape(len(part.row_names), -1)
+    mask, made = one.table.components[one.component], []
+    for words, shape in part.shapes(one.component).items():
+        gains = {}
+        for row in one.rows:
+            here = mask & one.table.used[row]
+            column = (shape / np.sqrt(part.noise()[row]))[here]
+            size = float(column @ column)
+            gains[one.table.names[row]] = float(column @ left[row][here]) ** 2 / size if size > 0.0 else 0.0
+        made.append(Law(words, gains))
     return sorted(made, key=lambda law: -law.gain)
 
 

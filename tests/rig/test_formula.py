@@ -23,7 +23,7 @@ from rig.estimate import adequacy, search
 from rig.estimate.diagnose import diagnose
 from rig.estimate.evidence import Evidence, evidence_of
 from rig.formula import DEEPEST, LONGEST, formula_effect, parse, term_of
-from rig.model import Quantity
+from rig.model import EVERYWHERE, Quantity
 from rig.shelf import shelf
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "add-an-effect.md"
@@ -117,7 +117,7 @@ def test_any_text_is_either_read_or_refused(text: str) -> None:
         ("k*(u + t)", "formula:8 found s beside rad/s, wanted a sum of like quantities"),
         ("k*u + 1", "formula:1 found a term in 1, wanted rad/s, the unit of the channel"),
         ("  k*foo(u)", "formula:5 found 'foo(…)', wanted one of the functions"),
-        ("k*theta*f", "formula:3 found signals that no place of shaker, turntable has together"),
+        ("k*theta*f", "formula:3 found signals that no place of shaker, turntable, rotation, free, poses has together"),
         ("k*b*u", "formula:3 found 'b', whose unit the formula leaves open"),
         ("u**2", "formula:1 found 'u\\*\\*2' without a coefficient"),
         ("k*exp(-t/tau)", "formula:10 found 'tau', in which the term is not proportional, wanted starts for it"),
@@ -162,7 +162,8 @@ def test_a_stated_unit_that_contradicts_the_formula_is_refused() -> None:
 def test_signals_of_one_place_narrow_where_the_effect_acts() -> None:
     assert formula_effect("own", "k*log(f)*u", on="rate").places == ("shaker",)
     assert formula_effect("own", "k*omega**2", on="rate").places == ("turntable",)
-    assert formula_effect("own", "k*u", on="rate").places == ("shaker", "turntable")
+    assert formula_effect("own", "k*theta*u", on="rate").places == ("turntable", "rotation")
+    assert formula_effect("own", "k*u", on="rate").places == EVERYWHERE
     assert DEEPEST < LONGEST
 
 

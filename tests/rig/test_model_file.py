@@ -138,7 +138,7 @@ def test_a_term_by_formula_is_loaded_and_fitted(tmp_path: Path) -> None:
         ("effects:\n- {effect: cubik, on: rate}\n", ":4:12 effects[0].effect:", "'cubik'", "cubic"),
         ("effects:\n- {effect: cubic}\n", ":4:3 effects[0].on:", "nothing", "acceleration or rate"),
         ("effects:\n- {effect: rocking, on: rate}\n", "effects[0].on:", "'rate'", ""),
-        ("start: blank\n", ":3:8 start:", "'blank'", "'datasheet' or 'paper'"),
+        ("start: blank\n", ":3:8 start:", "'blank'", "'datasheet', 'paper' or 'shared'"),
         ("begin: paper\n", ":3:1 begin:", "unknown key", "start"),
         (
             "effects:\n- effect: cubic\n  on: rate\n  coordinates: {coefficent: {value: 1}}\n",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,7 +65,26 @@ def turned() -> Motion:
     )  # fmt: skip
 
 
-MOTIONS = {"shaker": shaken, "turntable": turned}
+def rotated() -> Motion:
+    """The same turn on somebody else's rotation stage."""
+    return replace(turned(), place="rotation")
+
+
+def moved() -> Motion:
+    """The same motion without a platter."""
+    nothing, nowhere = np.zeros(0), np.zeros((3, 0))
+    return replace(turned(), place="free", angle=nothing, motor=nothing, outward=nowhere, tangent=nowhere)
+
+
+def posed() -> Motion:
+    """Six faces up, one after the other."""
+    up = np.concatenate([np.eye(3), -np.eye(3)], axis=1)
+    still, t = np.zeros((3, 6)), 20.0 * np.arange(6)
+    grid = Stretches(20.0, ((0, 6),))
+    return Motion(grid, "poses", 9.81 * up, still, still.copy(), up, 9.81, 25.0 + t / 60.0, 5.0 + 1e-3 * t, t)
+
+
+MOTIONS = {"shaker": shaken, "turntable": turned, "rotation": rotated, "free": moved, "poses": posed}
 
 
 def recorder() -> tuple[Channels, Local]:

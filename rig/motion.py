@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -30,7 +30,8 @@ Response = Callable[[Array], Complexes]
 PHASES = 64  # enough for a cube of five harmonics
 FINE = 512  # phases for a characteristic with a kink, whose high harmonics would fold into low ones
 ORDERS = 6  # harmonics 0 … 5
-MARGIN = 64  # samples added to either end of a stretch before it is filtered
+MARGIN = 64  # samples added to a record before it is filtered
+NEARLY_STILL = 1e-3  # Hz, where the slope of a phase at rest is taken
 
 
 @lru_cache(maxsize=4)
@@ -100,10 +101,28 @@ class Stretches:
     bounds: tuple[tuple[int, int], ...]
 
     def observed(self, signal: Array, response: Response) -> Array:
-        found = np.empty_like(signal)
-        for begin, end in self.bounds:
-            found[..., begin:end] = self._filtered(signal[..., begin:end], response)
+        found, passed = np.empty_like(signal), response(self._frequencies)
+        for (begin, end), (length, here) in zip(self.bounds, self._transforms, strict=True):
+            found[..., begin:end] = self._filtered(signal[..., begin:end], passed[..., :2], passed[..., here], length)
         return found
+
+    @cached_property
+    def _transforms(self) -> list[tuple[int, slice]]:
+        """Length of every record's transform, and where its lines stand among all frequencies."""
+        from scipy.fft import next_fast_len
+
+        lengths = [int(next_fast_len(end - begin + MARGIN, real=True)) for begin, end in self.bounds]
+        places, at = {}, 2
+        for length in dict.fromkeys(lengths):
+            places[length] = slice(at, at + length // 2 + 1)
+            at += length // 2 + 1
+        return [(length, places[length]) for length in lengths]
+
+    @cached_property
+    def _frequencies(self) -> Array:
+        """Zero, nearly zero, and the lines of every length of transform one after the other, Hz."""
+        lengths = dict.fromkeys(length for length, _ in self._transforms)
+        return np.concatenate([[0.0, NEARLY_STILL], *(np.fft.rfftfreq(one, self.interval) for one in lengths)])
 
     def plain(self, signal: Array) -> Array:
         """The mean over a window of what is given at its middle: fast signals lose by it."""
@@ -118,22 +137,23 @@ class Stretches:
             found[..., begin:end] = np.gradient(signal[..., begin:end], self.interval, axis=-1)
         return found
 
-    def _filtered(self, signal: Array, response: Response) -> Array:
-        """A ramp a + bt leaves H(0)(a + bt) + b·H′(0); what is left after the line through both ends goes round."""
-        from scipy.fft import irfft, next_fast_len, rfft
+    def _filtered(self, signal: Array, slow: Complexes, passed: Complexes, length: int) -> Array:
+        """A record after what passes of nothing and of nearly nothing, `slow`, and of the lines of its transform.
 
-        still = response(np.zeros(1))[..., :1].real
-        if not np.any(signal != signal[..., :1]):
-            return np.asarray(still * signal)
-        count = signal.shape[-1]
-        slope = (signal[..., -1:] - signal[..., :1]) / max(count - 1, 1)
-        line = signal[..., :1] + slope * np.arange(count)
-        whole = next_fast_len(count + MARGIN, real=True)
-        frequency = np.asarray(np.fft.rfftfreq(whole, self.interval))
-        turned = irfft(rfft(signal - line, whole) * response(frequency), whole)[..., :count]
-        step = 1e-3
-        low = response(np.array([step]))[..., :1]
-        return np.asarray(turned + still * line + slope / self.interval * (low.imag / (2.0 * math.pi * step)))
+        A ramp a + bt leaves H(0)(a + bt) + b·H′(0); what is left after the line through both ends goes round.
+        """
+        from scipy.fft import irfft, rfft
+
+        found = np.asarray(slow[..., :1].real * signal)
+        busy = (signal != signal[..., :1]).any(axis=-1)  # what rests goes through as it is
+        if busy.any():
+            own, slow, passed = signal[busy], *(one[busy] if one.ndim > 1 else one for one in (slow, passed))
+            slope = (own[..., -1:] - own[..., :1]) / max(own.shape[-1] - 1, 1)
+            line = own[..., :1] + slope * np.arange(own.shape[-1])
+            late = slope / self.interval * (slow[..., 1:].imag / (2.0 * math.pi * NEARLY_STILL))
+            turned = irfft(rfft(own - line, length) * passed, length)[..., : own.shape[-1]]
+            found[busy] = turned + (slow[..., :1].real * line + late)
+        return found
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ SETTLING = 14  # windows at either end of a record of a moving platter, where it
 # edges leave patterns that the encoder's second and first derivative cannot tell from motion
 HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
 INVERSIONS = 3  # of shown into true angle; each gains a factor of the error's size
+CLOSE = 1e-8  # rad: an inversion that changes no angle by more is the last
 HELD_OUT = 3  # every third stretch is not fitted when a model is judged
 
 
@@ -112,7 +113,7 @@ class Turning:
     def _read(self, terms: Sequence[Term]) -> Motion:
         data = self.data
         shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
-        angle, rate, acceleration = _true(shown, [term for term in terms if _turns(type(term.effect))])
+        angle, rate, acceleration = true_motion(shown, [term for term in terms if _turns(type(term.effect))])
         force = (
             -data.outward * data.radius * rate**2 + data.tangent * data.radius * acceleration + data.up * data.gravity
         )
@@ -156,17 +157,26 @@ class Turning:
         return found
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
-        """Windows in standard deviations, (rows,), channel after channel: means of the stretches, then their lines."""
+        """Windows in standard deviations, (rows,), channel after channel: means of the stretches, then their lines.
+
+        A channel that is zero throughout stays so: a change that moves few of them costs no more than those.
+        """
         from scipy.fft import dct
 
-        means, lines = [], []
+        found = np.zeros((len(raw), self.width))
+        moved = np.flatnonzero(raw.any(axis=1))
+        means, at = [], len(self.data.stretches)
         for begin, count, pieces, scale in self._together:
-            table = raw[:, begin : begin + count * pieces].reshape(len(raw), pieces, count)
-            turned: Array = dct(np.asarray(table, np.float64), type=2, norm="ortho", axis=2)
+            table = raw[moved, begin : begin + count * pieces].reshape(len(moved), pieces, count)
+            turned: Array = dct(np.asarray(table, np.float64), type=2, norm="ortho", axis=2, overwrite_x=True)
             means.append(turned[..., 0] / np.sqrt(count))
-            lines.append((turned[..., 1:] * scale).reshape(len(raw), -1))
-        first = np.einsum("cst,ct->cs", self._means, np.concatenate(means, axis=1))
-        return np.asarray(np.concatenate([first, *lines], axis=1).reshape(-1), np.float64)
+            lines = turned[..., 1:] * scale[moved]
+            found[moved, at : at + pieces * (count - 1)] = lines.reshape(len(moved), pieces * (count - 1))
+            at += pieces * (count - 1)
+        found[moved, : len(self.data.stretches)] = np.einsum(
+            "cst,ct->cs", self._means[moved], np.concatenate(means, axis=1)
+        )
+        return found.reshape(-1)
 
     @cached_property
     def _together(self) -> list[tuple[int, int, int, Array]]:
@@ -216,13 +226,15 @@ class Turning:
         return np.concatenate([means, *(scale > 0.0 for scale in self._scales)], axis=1).reshape(-1)
 
 
-def _true(shown: Shown, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
+def true_motion(shown: Shown, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
     """True angle, rate and acceleration: what the encoder shows is θ + Σδ(θ) of the true angle θ."""
     angle = shown.angle
     if not terms or not any(any(term.at.values()) for term in terms):
         return angle, shown.rate, shown.acceleration
     for _ in range(INVERSIONS):
-        angle = shown.angle - sum(term.effect.turned(np.nan_to_num(angle), term.at)[0] for term in terms)
+        known, angle = angle, shown.angle - sum(term.effect.turned(np.nan_to_num(angle), term.at)[0] for term in terms)
+        if not np.any(np.abs(angle - known) > CLOSE):
+            break
     errors = [term.effect.turned(np.nan_to_num(angle), term.at) for term in terms]
     first, second = (sum((one[k] for one in errors), np.zeros_like(angle)) for k in (1, 2))
     rate = shown.rate / (1.0 + first)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.fft import next_fast_len
 
-from rig.motion import ORDERS, PHASES, Array, Complexes, Motion, Periods, Response, Stretches, rigid
+from rig.motion import MARGIN, ORDERS, PHASES, Array, Complexes, Motion, Periods, Response, Stretches, rigid
 
 HARMONICS = np.array([[1.5, 2.0 - 1.0j, 0.3j, 0.1, -0.2, 0.05j], [-1.0, 3j, 0, 0, 0.5, 0]], np.complex128)
 TAU = 0.05  # s
@@ -140,3 +144,33 @@ def test_the_source_pushes_against_the_acceleration_and_the_drive_is_what_was_gi
 def test_only_sines_drive() -> None:
     with pytest.raises(TypeError, match="not driven by sines"):
         turntable(1.0, 0.0).drive_waveform()
+
+
+@given(
+    lengths=st.lists(st.integers(1, 90), min_size=1, max_size=5),
+    busy=st.lists(st.booleans(), min_size=3, max_size=3),
+    seed=st.integers(0, 2**16),
+)
+def test_records_filtered_together_come_out_as_each_channel_of_each_record_alone(
+    lengths: list[int], busy: list[bool], seed: int
+) -> None:
+    ends = np.cumsum([0, *lengths])
+    bounds = tuple((int(b), int(e)) for b, e in itertools.pairwise(ends))
+    signal = np.random.default_rng(seed).normal(size=(3, int(ends[-1]))) * np.array(busy)[:, None] + 2.0
+    poles = np.array([3.0, 10.0, 40.0])[:, None]
+    found = Stretches(INTERVAL, bounds).observed(signal, lambda f: np.asarray(1.0 / (1.0 + 1j * f / poles)))
+    for channel, pole in enumerate(poles[:, 0]):
+        for begin, end in bounds:
+            alone = one_record(signal[channel, begin:end], float(pole))
+            assert found[channel, begin:end] == pytest.approx(alone, rel=1e-12, abs=1e-12)
+
+
+def one_record(signal: Array, pole: float) -> Array:
+    """One channel of one record, step by step: the line through both ends, then what is left, by a plain transform."""
+    count, slope = len(signal), (signal[-1] - signal[0]) / max(len(signal) - 1, 1)
+    line = signal[0] + slope * np.arange(count)
+    whole = next_fast_len(count + MARGIN, real=True)
+    passed = 1.0 / (1.0 + 1j * np.fft.rfftfreq(whole, INTERVAL) / pole)
+    turned = np.fft.irfft(np.fft.rfft(signal - line, whole) * passed, whole)[:count]
+    late = (1.0 / (1.0 + 1e-3j / pole)).imag / (2.0 * math.pi * 1e-3)
+    return np.asarray(turned + line + slope / INTERVAL * late)

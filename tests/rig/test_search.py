@@ -1,0 +1,76 @@
+"""Scores and whitened turntable rows: what is left out to be quick would have been zero."""
+
+from __future__ import annotations
+
+import fast_bench
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.fft import dct
+
+from rig.estimate import fit as fitting
+from rig.estimate import search
+from rig.estimate.evidence import evidence_of
+from rig.estimate.fit import Fit
+from rig.estimate.turning import Turning
+from rig.model import Term
+from rig.motion import Array
+from rig.shelf import shelf
+
+TURNS = {"procedure": "turntable", "all": True}
+CANDIDATES = (
+    ("cubic", "rate"), ("delay", "acceleration"), ("axis_offset", "acceleration"), ("platen_tilt", None),
+    ("motor_pickup", "rate"), ("supply_ratio", "rate"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found() -> Fit:
+    """A turntable run of a unit with nothing hidden, fitted."""
+    return evidence_of([fast_bench.measure(TURNS, fast_bench.world(11, []))]).fitted()
+
+
+def plain(part: Turning, raw: Array) -> Array:
+    """Whitened rows, (c, width): one channel and one stretch at a time."""
+    data, rows = part.data, []
+    for channel, one in enumerate(raw):
+        means = np.array([one[begin:end].mean() for begin, end in data.stretches])
+        scales = [scale[channel] for scale in part._scales]
+        lines = [dct(one[b:e], norm="ortho")[1:] * s for (b, e), s in zip(data.stretches, scales, strict=True)]
+        rows.append(np.concatenate([part._means[channel] @ means, *lines]))
+    return np.array(rows)
+
+
+@settings(max_examples=10, deadline=None)
+@given(moved=st.lists(st.booleans(), min_size=9, max_size=9), seed=st.integers(0, 2**16))
+def test_channels_whitened_together_come_out_as_each_stretch_alone(found: Fit, moved: list[bool], seed: int) -> None:
+    (part,) = found.parts
+    assert isinstance(part, Turning)
+    raw = np.random.default_rng(seed).normal(size=part.data.observed.shape) * np.array(moved)[:, None]
+    expected = plain(part, raw)
+    got = part.whitened(raw).reshape(expected.shape)
+    assert np.max(np.abs(got - expected)) <= 1e-11 * max(np.max(np.abs(expected)), 1.0)
+    assert not got[~np.array(moved)].any()
+
+
+@pytest.mark.parametrize(("name", "on"), CANDIDATES)
+def test_a_score_is_the_decrease_that_all_rows_promise(found: Fit, name: str, on: str | None) -> None:
+    (term,) = [t for t in search.possible(shelf(), found) if (t.effect.name, t.on) == (name, on)]
+    (score,) = search.scores(found, [term])
+    best = max(promised(found, term.moved(**start)) for start in term.effect.starts(found.parts[0].reference, term.on))
+    assert score.gain == pytest.approx(best, rel=1e-6, abs=1e-6)
+
+
+def promised(found: Fit, term: Term) -> float:
+    """Decrease of χ² by least squares over every row, for a term that does nothing at this start."""
+    (part,) = found.parts
+    local, terms = found.state.local(part, 0), found.state.terms
+    model = np.zeros((part.rows, found.layout.size))
+    for block in found.blocks:
+        model[block.rows, block.columns] = block.matrix
+    columns = fitting.term_columns(part, local, terms, term)
+    inside, inverse = model.T @ columns, fitting.inverse(found.normal)
+    outside = columns.T @ columns - inside.T @ inverse @ inside
+    target = columns.T @ found.left - inside.T @ inverse @ found.downhill
+    return float(target @ np.linalg.solve(outside, target))

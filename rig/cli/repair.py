@@ -188,6 +188,7 @@ def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]
         "verdict": said.verdict,
         "groups": list(groups),
         "candidates": [one.as_json() for one in said.candidates],
+        "excluded": [one.as_json() for one in said.excluded],
         "description": said.description,
         "cannot_see": list(said.cannot_see),
     }
@@ -200,6 +201,10 @@ def diagnosis_text(said: Conclusion) -> list[str]:
         here = [one for one in said.candidates if one.step == step]
         lines += ["", *candidate_text(here[0], said.verdict == "unlisted")]
         lines += [f"  not excluded by this data: {_other_text(one)}" for one in here[1:]]
+        lines += [
+            f"  ranked below: {one.effect} would leave {one.error_after:.4g}, {one.why}"
+            for one in said.excluded if one.step == step
+        ]  # fmt: skip
     if said.description:
         lines += ["", f"  {said.description}"]
     lines += ["", "this data cannot see:", *(f"  {one}" for one in said.cannot_see)] if said.cannot_see else []

@@ -13,7 +13,7 @@ class MovingAverage(Effect):
     equation = "H = sin(π·f·window)/(π·f·window)·exp(−j·π·f·window)"
     quantities = BOTH
     coordinates = (Coordinate("window", 5e-5),)
-    parameters = (Parameter("window", "s", (0.0, 10.0), (5e-5, 5e-4)),)
+    parameters = (Parameter("window", "s", (0.0, 10.0), (5e-5, 2e-2)),)
     missing = "gain falls as (π·f·window)²/6 while the phase lags as f·window/2 of a turn, exactly ∝ f, at every level"
     confused_with = ("delay", "bessel_filter", "first_order_lag", "butterworth_filter")
     separate_by = "a sweep past 1/window: the gain is zero there, no filter with poles alone is"

@@ -27,6 +27,7 @@ from rig.model import Effect, Quantity, Term
 OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
 OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
 DETERMINED = 0.5  # of the prior uncertainty of a corner: below it the data have their say
+RANKED_BELOW = 4  # effects of a step that are said to be excluded
 EVENS = 0.5  # the highest probability of a candidate that leaves more than noise
 
 
@@ -69,6 +70,20 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Excluded:
+    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where."""
+
+    step: int
+    effect: str
+    error_after: float
+    why: str
+
+    def as_json(self) -> dict[str, Any]:
+        """As `rig diagnose --json` gives it."""
+        return {"step": self.step, "effect": self.effect, "error_after": self.error_after, "why": self.why}
+
+
+@dataclass(frozen=True)
 class Conclusion:
     """The verdict, the candidates best first, what an unlisted effect looks like, and what cannot be seen.
 
@@ -88,6 +103,7 @@ class Conclusion:
     worst: float
     worst_after: float
     diagnosis: Diagnosis = field(repr=False)
+    excluded: tuple[Excluded, ...] = ()
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -175,7 +191,20 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         after=error_of(diagnosis.final),
         heldout_after=heldout_error(evidence, diagnosis.final),
         diagnosis=diagnosis,
+        excluded=tuple(_excluded(diagnosis)),
     )
+
+
+def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
+    """The next best of every step, beside all other steps' effects where they were refitted so."""
+    for number, step in enumerate(diagnosis.steps, 1):
+        apart = [one for one in step.others if one not in step.members and one.fit is not None]
+        for choice in sorted(apart, key=lambda one: -one.gain)[:RANKED_BELOW]:
+            assert choice.fit is not None
+            worst = adequacy.worst(choice.fit)
+            where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
+            where += "" if choice.possible else "; its size is outside what physics allows"
+            yield Excluded(number, choice.term.key, error_of(choice.fit), where)
 
 
 def _candidates(evidence: Evidence, diagnosis: Diagnosis) -> Iterator[Candidate]:

@@ -32,6 +32,8 @@ LARGEST_CLASS = 3
 MOST_STEPS = 4
 REFITS = 8
 SHARE = 2e-3  # of the first effect's gain: a later effect must be worth more than the first one's own imprecision
+PAIRS = 8  # first effects that pairs are begun with
+PAIR_REFITS = 3
 QUARTER = 0.25  # of the misfit in excess of the noise
 
 
@@ -50,6 +52,11 @@ class Choice:
     @property
     def name(self) -> str:
         return self.term.effect.name
+
+    @property
+    def possible(self) -> bool:
+        """Whether physics allows its size."""
+        return self.merit > -math.inf
 
 
 @dataclass(frozen=True)
@@ -100,6 +107,9 @@ def diagnose(
             break
         steps.append(step)
         current = step.after
+        steps, current = _exchanged(steps, base, current, shelf, memory)
+    if steps and not adequacy.adequate(current):
+        steps, current = _paired(steps, base, current, shelf, memory)
     steps, current = _pruned(steps, current)
     return _concluded(base, current, steps, first_scores, misplaced)
 
@@ -113,19 +123,95 @@ def _step(
             return _by_test(evidence, current, finding), ()
     scored = search.scores(current, search.possible(shelf, current), memory)
     choices = _choices(current, scored)
-    if not choices:
-        return None, tuple(scored)
-    best = choices[0]
     least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
-    if best.merit <= 0.0 or best.gain < least:
+    if not choices or choices[0].merit <= 0.0 or choices[0].gain < least:
         return None, tuple(scored)
+    return _taken(current, choices), tuple(scored)
+
+
+def _taken(current: Fit, choices: Sequence[Choice]) -> Step:
+    """The step that the best of the choices makes, with those that the data do not tell from it."""
+    best = choices[0]
     assert best.fit is not None
     after = fitting.fit(current.parts, best.fit.state, use=current.use)
     best = replace(best, u=after.u(len(after.state.terms) - 1))
-    near = [k for k, one in enumerate(choices) if k and one.gain > best.gain - CLASS][: LARGEST_CLASS - 1]
+    # where more than noise is left, a difference counts for less (Birge)
+    apart = CLASS * max(1.0, after.chi2 / max(after.count, 1))
+    near = [k for k, one in enumerate(choices) if k and one.possible and one.gain > best.gain - apart]
+    near = near[: LARGEST_CLASS - 1]
     members = (best, *(_polished(choices[k]) for k in near))
     rest = (one for k, one in enumerate(choices) if k and k not in near)
-    return Step(best, members, (*members, *rest), current, after), tuple(scored)
+    return Step(best, members, (*members, *rest), current, after)
+
+
+def _exchanged(
+    steps: list[Step], base: Fit, current: Fit, shelf: Mapping[str, Effect], memory: search.Memory
+) -> tuple[list[Step], Fit]:
+    """Every earlier step looked at again beside the later ones: another effect may now do better in its place.
+
+    What was taken first was the best alone; two effects together need not contain it.
+    """
+    for place in range(len(steps) - 1):
+        old = steps[place].taken
+        if old.term.effect.looks_in:
+            continue
+        others = [one.taken.term for k, one in enumerate(steps) if k != place]
+        without = _with_terms(base, [_at(current, term) for term in others])
+        scored = search.scores(without, search.possible(shelf, without), memory)
+        choices = _choices(without, scored)
+        was = without.objective - current.objective - chance_of(old.term) - 2.0 * old.term.effect.rarity
+        if choices and choices[0].name != old.name and choices[0].merit > was + CLASS:
+            step = _taken(without, choices)
+            steps, current = _rebuilt(base, [*steps[:place], step, *steps[place + 1 :]]), step.after
+    return steps, current
+
+
+def _paired(
+    steps: list[Step], base: Fit, current: Fit, shelf: Mapping[str, Effect], memory: search.Memory
+) -> tuple[list[Step], Fit]:
+    """The best pair that begins with one of the first step's other choices, if it does better than all steps so far.
+
+    The best effect alone may be a bad half of two, and no exchange of one at a time leads away from it.
+    """
+    best: tuple[Choice, Fit, list[Choice]] | None = None
+    lowest = current.objective - CLASS
+    for choice in [one for one in steps[0].others if one.fit is not None and one.possible][1:PAIRS]:
+        first = _with_terms(base, [choice.term])
+        seconds = _choices(first, search.scores(first, search.possible(shelf, first), memory), PAIR_REFITS)
+        if seconds and first.objective - seconds[0].gain < lowest and seconds[0].merit > 0.0:
+            best, lowest = (choice, first, seconds), first.objective - seconds[0].gain
+    if best is None:
+        return steps, current
+    chosen, other = best[0].term, best[2][0].term
+    made = [_alone(_with_terms(base, [other]), chosen, shelf, memory), _alone(best[1], other, shelf, memory)]
+    return _rebuilt(base, made), made[1].after
+
+
+def _alone(without: Fit, term: Term, shelf: Mapping[str, Effect], memory: search.Memory) -> Step:
+    """The step that leads from a model without a term to one with it, and what else could be in its place."""
+    choices = _choices(without, search.scores(without, search.possible(shelf, without), memory))
+    mine = [one for one in choices if one.name == term.effect.name and one.term.on == term.on]
+    return _taken(without, [*mine, *(one for one in choices if one not in mine)])
+
+
+def _with_terms(base: Fit, terms: Sequence[Term]) -> Fit:
+    return fitting.fit(base.parts, replace(base.state, terms=(*base.state.terms, *terms)), use=base.use)
+
+
+def _at(current: Fit, term: Term) -> Term:
+    """A term where a fit has it now."""
+    return next((t for t in current.state.terms if not t.prior and t.key == term.key), term)
+
+
+def _rebuilt(base: Fit, steps: Sequence[Step]) -> list[Step]:
+    """The ladder of these steps, each with the fits before and after it."""
+    made: list[Step] = []
+    before = base
+    for step in steps:
+        after = _with_terms(before, [step.taken.term])
+        made.append(replace(step, before=before, after=after))
+        before = after
+    return made
 
 
 def _polished(choice: Choice) -> Choice:
@@ -150,12 +236,24 @@ def chance(score: Score | Candidate) -> float:
     return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
 
 
-def _choices(current: Fit, scored: Sequence[Score]) -> list[Choice]:
+def _merit(one: Candidate) -> float:
+    """χ² that it removes, less what chance gives and how unusual it is; nothing makes up for what cannot be."""
+    if not search.admissible(one.term, one.u):
+        return -math.inf
+    return one.gain - chance(one) - 2.0 * one.term.effect.rarity
+
+
+def chance_of(term: Term) -> float:
+    """The same for a term that was refitted from one start."""
+    return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1)
+
+
+def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS) -> list[Choice]:
     """Refits of the best, most meritorious first, with probabilities among them and against chance."""
     top = max((score.gain for score in scored), default=0.0)
     least = max(0.5 * CHANCE, 0.02 * top)
-    refits = search.best(current, scored, REFITS, least)
-    merits = [one.gain - chance(one) - 2.0 * one.term.effect.rarity for one in refits]
+    refits = search.best(current, scored, most, least)
+    merits = [_merit(one) for one in refits]
     highest = max([*merits, 0.0])
     weights = [math.exp(0.5 * (merit - highest)) for merit in merits]
     total = sum(weights) + math.exp(-0.5 * highest)

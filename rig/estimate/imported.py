@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from rig.errors import BadInput
+from rig.estimate import nuisances
 from rig.estimate.fit import Part
+from rig.estimate.followed import motions, rotations
+from rig.estimate.following import Following
 from rig.estimate.responding import Responding, responses
 from rig.foreign import Foreign
 from rig.model import Term
@@ -14,7 +17,14 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
 
     Raises BadInput for data of a kind that no model can be compared with.
     """
-    kind = foreign.manifest.kind
-    if kind == "response":
-        return [Responding(data) for data in responses(foreign)], []
-    raise BadInput(f"{foreign.run}: found data of kind {kind}, wanted one that a model can be compared with")
+    match foreign.manifest.kind:
+        case "response":
+            return [Responding(data) for data in responses(foreign)], []
+        case "rotation":
+            turned = rotations(foreign)
+            lies = not turned.upright and not turned.channels.rates.all()
+            return [Following(turned)], nuisances.of_rotation(turned.axis) if lies else []
+        case "motion":
+            return [Following(motions(foreign))], []
+        case kind:
+            raise BadInput(f"{foreign.run}: found data of kind {kind}, wanted one that a model can be compared with")

@@ -123,13 +123,14 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
         c = len(table.names)
         held = unseen[offsets[table.number] : offsets[table.number + 1]].reshape(c, -1)
         noises = _noises(table)
+        errors = _errors(table, found.left[offsets[table.number] : offsets[table.number + 1]])
         for row, name in enumerate(table.names):
             title = table.part.title(name) if isinstance(table.part, Tabled) else family_of(name)
             key = (table.part.place, title)
             used, out = table.used[row], table.used[row] & np.isfinite(held[row])
             chi2 = float(table.squares[row][used].sum())
             counts = [float(used.sum()), float(np.sum(held[row][out] ** 2)), float(out.sum())]
-            sums.setdefault(key, []).append(np.array([*noises[row], chi2, *counts, _error(table, row)]))
+            sums.setdefault(key, []).append(np.array([*noises[row], chi2, *counts, errors[row]]))
             names.setdefault(key, {})[name] = None
     for (place, family), rows in sums.items():
         square, number, chi2, count, held_chi2, held_count, error = np.sum(rows, axis=0).tolist()
@@ -140,12 +141,9 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
         )  # fmt: skip
 
 
-def _error(table: Table, row: int) -> float:
-    """Sum of squares of what is left, SI², where the part knows it; NaN else."""
-    used = table.used[row]
-    return (
-        float(table.squares[row][used] @ table.part.noise()[row][used]) if isinstance(table.part, Tabled) else math.nan
-    )
+def _errors(table: Table, left: Array) -> Array:
+    """Sum of squares of what is left, SI², where the part knows it, NaN else; (names,)."""
+    return table.part.errors(left) if isinstance(table.part, Tabled) else np.full(len(table.names), math.nan)
 
 
 def _root(total: float, count: float) -> float:

@@ -91,7 +91,8 @@ def _table_laws(found: Fit, one: Cell, part: Tabled) -> list[Law]:
         gains = {}
         for row in one.rows:
             here = mask & one.table.used[row]
-            column = (shape / np.sqrt(part.noise()[row]))[here]
+            own = shape if shape.ndim == 1 else shape[row]
+            column = (own / np.sqrt(part.noise()[row]))[here]
             size = float(column @ column)
             gains[one.table.names[row]] = float(column @ left[row][here]) ** 2 / size if size > 0.0 else 0.0
         made.append(Law(words, gains))

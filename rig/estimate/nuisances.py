@@ -6,15 +6,18 @@ filter's cut-off on the shaker, the first two orders of the encoder's graduation
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from rig.errors import BadInput
-from rig.model import Array, Complexes, Coordinate, Effect, Parameter, Term, Values
+from rig.model import Array, Complexes, Coordinate, Effect, Motion, Parameter, Term, Values
 from rig.records import Recorded, reference
 from rig.shelf import effect_of, nothing_of
 from rig.vibration import Chain, chain_of
+
+U_GRAVITY_ANGLE = 0.3  # rad
 
 
 class FilterCutoff(Effect):
@@ -53,6 +56,40 @@ class VibrometerGain(Effect):
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         return along / (1.0 + at["relative"])
+
+
+class GravityAngle(Effect):
+    """An axis that lies level is turned by an angle that nobody stated: where gravity points at the encoder's zero."""
+
+    name = "gravity_angle"
+    stage = "motion"
+    title = "angle of gravity at the encoder's zero"
+    equation = "f = R(axis, angle)·f_shown"
+    places = ("rotation",)
+    coordinates = (Coordinate("angle", 1e-3),)
+    parameters = (Parameter("angle", "rad", (-math.pi, math.pi), (0.0, 0.1)),)
+    missing = "one part in each accelerometer across the axis, a quarter of a turn from its own"
+    separate_by = "the case level at a known angle"
+    source = "gravity in the turning case"
+
+    def __init__(self, axis: int) -> None:
+        self._axis = axis
+
+    def motion(self, motion: Motion, at: Values) -> Motion:
+        first, second = (self._axis + 1) % 3, (self._axis + 2) % 3
+        c, s = math.cos(at["angle"]), math.sin(at["angle"])
+        moved = {}
+        for name in ("force", "up"):
+            vector = np.array(getattr(motion, name))
+            one, other = vector[first].copy(), vector[second].copy()
+            vector[first], vector[second] = c * one - s * other, s * one + c * other
+            moved[name] = vector
+        return Motion(**{**vars(motion), **moved})
+
+
+def of_rotation(axis: int) -> list[Term]:
+    """Where gravity lies, found from the accelerometers themselves and so known only about."""
+    return [Term(GravityAngle(axis), None, {"angle": 0.0}, {"angle": U_GRAVITY_ANGLE})]
 
 
 def of_shaker(runs: Sequence[Recorded]) -> list[Term]:

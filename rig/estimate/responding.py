@@ -1,10 +1,10 @@
 """A table of frequency responses as a model sees it: magnitude and phase at every frequency, no time series needed.
 
-Observed is the complex ratio of the sensor's output to the reference's acceleration. Repeats at one frequency are
-turned into their mean and contrasts (an orthonormal transform): contrasts have the scatter of the repeats, pooled over
-neighbouring frequencies; the mean has besides what was stated as uncertainty, because a reference that is wrong is
-wrong in every repeat alike. Rows are turned by the observed phase, so that a real part is magnitude and an imaginary
-part is phase.
+Compared is the logarithm of the complex ratio of the sensor's output to the reference's acceleration: its real part is
+magnitude and its imaginary part phase, unwrapped from the lowest frequency up, and either has its own uncertainty.
+Repeats at one frequency are turned into their mean and contrasts (an orthonormal transform): contrasts have the scatter
+of the repeats, pooled over neighbouring frequencies; the mean has besides what was stated as uncertainty, because a
+reference that is wrong is wrong in every repeat alike.
 """
 
 from __future__ import annotations
@@ -72,9 +72,18 @@ def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> Respon
     place = _places(frequency[order])
     repeat = np.concatenate([np.arange(n) for n in np.bincount(place)])
     held = np.full(len(order), table.held_out) if by_file else place % HELD_OUT == HELD_OUT - 1
-    notes = () if excitation else ("no excitation is stated: what depends on the level cannot be seen",)
+    notes: tuple[str, ...] = (
+        () if excitation else ("no excitation is stated: what depends on the level cannot be seen",)
+    )
+    sign = 1.0 if ratio[order[0]].real >= 0.0 else -1.0  # a quarter of a turn is more than any sensor lags so low
+    if sign < 0.0:
+        notes = (
+            *notes,
+            f"{table.label}: the response counts against the reference (phase near π at the lowest "
+            f"frequency): a matter of sign or mounting, taken as a sensitivity of −1 and not as dynamics",
+        )
     return ResponseTable(
-        name=f"{foreign.run}#{number}", run=foreign.run, channels=_channels(first), frequency=frequency[order],
+        name=f"{foreign.run}#{number}", run=foreign.run, channels=_channels(first, sign), frequency=frequency[order],
         excitation=along[order], ratio=ratio[order], u_magnitude=u_magnitude[order], u_phase=u_phase[order],
         repeat=repeat, held=held, gravity=made.gravity.value, notes=notes,
     )  # fmt: skip
@@ -94,11 +103,11 @@ def _ratio(foreign: Foreign, table: Table, device: Mapping[str, Column]) -> tupl
     return np.asarray(ratio), either, either / np.abs(ratio), device["real"]
 
 
-def _channels(column: Column) -> Channels:
+def _channels(column: Column, sign: float) -> Channels:
     """One accelerometer along the drive."""
     return Channels(
         names=(column.channel,), rates=np.zeros(1, np.bool_), axis=np.array(["xyz".index(column.axis or "x")]),
-        slot=np.zeros(1, np.intp), side=np.array([math.nan]), sensitivity=np.ones(1),
+        slot=np.zeros(1, np.intp), side=np.array([math.nan]), sensitivity=np.array([sign]),
         tolerance=np.array([column.tolerance]), pole=np.array([column.bandwidth or math.inf]), unit=("unit",),
     )  # fmt: skip
 
@@ -120,7 +129,7 @@ class Responding(Tabled):
         self.blind, self.width = _blind(data), 2 * len(data.frequency)
         self.extra = np.zeros((self.rows, 0))
         self.grid, self._fine = Periods(data.frequency), Periods(data.frequency, FINE)
-        self.target = self.whitened(data.ratio[None])
+        self.target = self.whitened(self._logarithm(data.ratio[None]))
 
     @cached_property
     def reference(self) -> Motion:
@@ -137,7 +146,7 @@ class Responding(Tabled):
         )  # fmt: skip
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
-        """Predicted ratio, (1, p)."""
+        """Logarithm of the predicted ratio, (1, p)."""
         terms = [term for term in terms if self.place in term.effect.places]
         shown = self.reference
         along = shown.along
@@ -150,7 +159,12 @@ class Responding(Tabled):
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)
-        return np.asarray(volts(moved, channels, local, terms)[..., 1] / self.data.excitation)
+        return self._logarithm(volts(moved, channels, local, terms)[..., 1] / self.data.excitation)
+
+    def _logarithm(self, ratio: NDArray[np.inexact]) -> Complexes:
+        """Complex logarithm, its imaginary part unwrapped along frequency, (1, p)."""
+        phase = np.angle(ratio * np.conj(self._means))  # small steps between repeats and neighbours
+        return np.asarray(np.log(np.abs(ratio)) + 1j * np.unwrap(phase))
 
     @cached_property
     def _turns(self) -> list[tuple[slice, Array, Array]]:
@@ -164,7 +178,7 @@ class Responding(Tabled):
         for k, (begin, end) in enumerate(itertools.pairwise(bounds.tolist())):
             n, here = end - begin, slice(begin, end)
             size = np.abs(data.ratio[here])
-            stated = np.array([np.mean(data.u_magnitude[here] ** 2), np.mean((size * data.u_phase[here]) ** 2)])
+            stated = np.array([np.mean((data.u_magnitude[here] / size) ** 2), np.mean(data.u_phase[here] ** 2)])
             variance = np.repeat(scatter[k][None], n, axis=0)
             variance[0] += n * stated
             if scatter[k].max() == 0.0:
@@ -175,12 +189,12 @@ class Responding(Tabled):
         return found
 
     def _scatter(self, bounds: NDArray[np.intp]) -> Array:
-        """Variance of one repeat in magnitude and in phase × magnitude, pooled over neighbours, (frequencies, 2)."""
+        """Variance of one repeat in ln magnitude and in phase, pooled over neighbours, (frequencies, 2)."""
         ratio = self.data.ratio
         squares, freedom = np.zeros((len(bounds) - 1, 2)), np.zeros(len(bounds) - 1)
         for k, (begin, end) in enumerate(itertools.pairwise(bounds.tolist())):
             mean = ratio[begin:end].mean()
-            apart = (ratio[begin:end] - mean) * np.conj(mean) / abs(mean)
+            apart = ratio[begin:end] / mean - 1.0
             squares[k] = np.sum(apart.real**2), np.sum(apart.imag**2)
             freedom[k] = end - begin - 1
         wide = np.ones(2 * NEIGHBOURS + 1)
@@ -188,10 +202,9 @@ class Responding(Tabled):
         pooled = np.stack([np.convolve(squares[:, j], wide, mode="same") for j in range(2)], axis=1)
         return np.asarray(np.where(total[:, None] > 0.0, pooled / np.maximum(total, 1.0)[:, None], 0.0))
 
-    def _rotated(self, ratio: Complexes) -> Array:
+    def _rotated(self, logarithm: Complexes) -> Array:
         """Mean and contrasts of every frequency, magnitude and phase parts, (p, 2)."""
-        turned = ratio * np.exp(-1j * np.angle(self._means))
-        parts = np.stack([turned.real, turned.imag], axis=1)
+        parts = np.stack([logarithm.real, logarithm.imag], axis=1)
         return np.concatenate([turn @ parts[here] for here, turn, _ in self._turns])
 
     @cached_property
@@ -232,15 +245,22 @@ class Responding(Tabled):
         return found
 
     def noise(self) -> Array:
-        return self._variance.reshape(1, -1)
+        return np.asarray(self._variance * np.abs(self._means[:, None]) ** 2).reshape(1, -1)
+
+    def errors(self, left: Array) -> Array:
+        """Sum of squares of |H observed − H predicted|."""
+        apart = left.reshape(-1, 2) * np.sqrt(self._variance)
+        back = np.concatenate([turn.T @ apart[here] for here, turn, _ in self._turns])
+        predicted = self.data.ratio * np.exp(-back[:, 0] - 1j * back[:, 1])
+        return np.array([float(np.sum(np.abs(self.data.ratio - predicted) ** 2))])
 
     def numbers(self) -> Array:
         return np.array([float(len(self.data.frequency))])
 
     def shapes(self, component: str) -> Mapping[str, Array]:
-        """Powers of frequency, and the level, times the size of the response."""
+        """Powers of frequency, and the level."""
         means = np.zeros(len(self.data.frequency))
-        size, f, level = np.abs(self._means), self.data.frequency, self.data.excitation
+        f, level = self.data.frequency, self.data.excitation
         found = {}
         for words, law in (
             ("the same at every frequency", np.ones(len(f))), ("grows as f", f), ("grows as f²", f**2),
@@ -248,8 +268,8 @@ class Responding(Tabled):
         ):  # fmt: skip
             whole = means.copy()
             for here, _, _ in self._turns:  # a law moves means only, √n of it
-                whole[here.start] = math.sqrt(here.stop - here.start) * float(np.mean((size * law)[here]))
-            found[words] = np.repeat(whole / np.abs(whole).max(), 2)
+                whole[here.start] = math.sqrt(here.stop - here.start) * float(np.mean(law[here]))
+            found[words] = np.repeat(whole * np.abs(self._means) / np.abs(whole).max(), 2)
         return found
 
     def title(self, name: str) -> str:

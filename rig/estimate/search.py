@@ -79,23 +79,32 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> lis
 
 @dataclass(frozen=True)
 class _Sight:
-    """What every score needs of the present model, worked out once."""
+    """What every score needs of the present model, worked out once; of rows only those that count."""
 
     found: Fit
     inverse: Array
     raws: tuple[NDArray[np.inexact], ...]
+    counting: NDArray[np.intp]
+    left: Array
+    blocks: tuple[fitting.Block, ...]
     memory: Memory
 
     @classmethod
     def of(cls, found: Fit, memory: Memory | None = None) -> _Sight:
         raws = tuple(fitting.predicted(found.parts, found.state))
-        return cls(found, fitting.inverse(found.normal), raws, {} if memory is None else memory)
+        counted = np.concatenate([part.counted for part in found.parts])
+        counted = counted if found.use is None else counted & found.use
+        blocks = tuple(_counting(block, counted) for block in found.blocks)
+        inverse, counting = fitting.inverse(found.normal), np.flatnonzero(counted)
+        return cls(found, inverse, raws, counting, found.left[counting], blocks, {} if memory is None else memory)
 
     def cross(self, columns: Array) -> Array:
-        """Products with the model's columns, (parameters, k)."""
-        found = np.zeros((len(self.inverse), columns.shape[1]))
-        for block in self.found.blocks:
-            found[block.columns] += block.matrix.T @ columns[block.rows]
+        """Products with the model's columns, (parameters, k) or (parameters,)."""
+        found = np.zeros((len(self.inverse), *columns.shape[1:]))
+        for block in self.blocks:
+            here = columns[block.rows]
+            if here.any():
+                found[block.columns] += block.matrix.T @ here
         return found
 
     def columns(self, term: Term) -> tuple[Array, Array]:
@@ -112,21 +121,29 @@ class _Sight:
         return columns, shift
 
     def _columns(self, term: Term) -> tuple[Array, Array]:
-        found = self.found
-        parts, moved = [], []
-        for number, (part, raw) in enumerate(zip(found.parts, self.raws, strict=True)):
-            shifted = np.zeros(part.rows)
-            here: NDArray[np.inexact] | None = raw
-            local = found.state.local(part, number)
+        columns, moved = [], []
+        for number, (part, raw) in enumerate(zip(self.found.parts, self.raws, strict=True)):
+            local, terms = self.found.state.local(part, number), self.found.state.terms
+            here = raw
             if any(term.at.values()) and part.place in term.effect.places:
-                here = part.raw(local, [*found.state.terms, term])
-                shifted = part.whitened(here - raw)
-            parts.append(fitting.term_columns(part, local, found.state.terms, term, here))
-            moved.append(shifted)
-        whole, shift = np.concatenate(parts), np.concatenate(moved)
-        if found.use is not None:
-            whole, shift = whole * found.use[:, None], shift * found.use
-        return whole, shift
+                here = raw.copy()
+                only = _apart(part, term)
+                here[slice(None) if only is None else only] = part.raw(local, [*terms, term], only)
+            columns.append(fitting.term_columns(part, local, terms, term, here))
+            moved.append(np.zeros(part.rows) if here is raw else part.whitened(here - raw))
+        return np.concatenate(columns)[self.counting], np.concatenate(moved)[self.counting]
+
+
+def _apart(part: fitting.Part, term: Term) -> NDArray[np.intp] | None:
+    """Channels that alone feel a term; None if all do."""
+    apart = term.on is not None and term.effect.stage != "reference" and not isinstance(part, fitting.Joint)
+    return part.channels.of(term.on) if apart else None
+
+
+def _counting(block: fitting.Block, counted: NDArray[np.bool_]) -> fitting.Block:
+    """A block of the rows that count, which stand one after the other."""
+    before, here = int(np.count_nonzero(counted[: block.rows.start])), counted[block.rows]
+    return fitting.Block(slice(before, before + int(np.count_nonzero(here))), block.columns, block.matrix[here])
 
 
 def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> list[Score]:
@@ -163,9 +180,8 @@ def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
 def _from(sight: _Sight, term: Term) -> Score:
     """Linear estimate from one start."""
     columns, moved = sight.columns(term)
-    left = sight.found.left - moved
-    cross = sight.cross(np.column_stack([columns, moved]))
-    inside, own = cross[:, :-1], columns.T @ columns
+    left, pull = sight.left - moved, sight.found.downhill - sight.cross(moved)
+    inside, own = sight.cross(columns), columns.T @ columns
     outside = own - inside.T @ sight.inverse @ inside
     size = np.sqrt(np.maximum(np.diag(own), 1e-300))
     seen = np.sqrt(np.maximum(np.diag(outside), 0.0)) / size
@@ -174,7 +190,6 @@ def _from(sight: _Sight, term: Term) -> Score:
     told = np.sqrt(np.maximum(np.diag(outside), 0.0)) * steps > TOLD
     good = (seen > HIDDEN) | ((seen > ROUNDING) & told)
     seen = np.where(good, np.maximum(seen, 1.01 * HIDDEN), seen)
-    pull = _pull(sight, left)
     target = columns.T @ left - inside.T @ sight.inverse @ pull
     if good.any():
         # unseen directions stay where they are
@@ -186,7 +201,7 @@ def _from(sight: _Sight, term: Term) -> Score:
         step, gained = np.zeros(len(size)), 0.0
     if np.any(moved):
         before = float(left @ left) - float(pull @ sight.inverse @ pull)
-        gained += float(sight.found.left @ sight.found.left) - before
+        gained += float(sight.left @ sight.left) - before
         seen = np.append(seen, 1.0)
     at = dict(zip(fitted(term), step.tolist(), strict=True))
     where = term.moved(**{name: term.at[name] + change for name, change in at.items()})
@@ -195,7 +210,7 @@ def _from(sight: _Sight, term: Term) -> Score:
 
 def _pull(sight: _Sight, left: Array) -> Array:
     """Gradient of the model's parameters for these rows (priors included)."""
-    return sight.found.downhill + sight.cross((left - sight.found.left)[:, None])[:, 0]
+    return sight.found.downhill + sight.cross((left - sight.found.left)[sight.counting])
 
 
 def refitted(found: Fit, score: Score) -> Candidate:
@@ -204,7 +219,11 @@ def refitted(found: Fit, score: Score) -> Candidate:
     The model's own columns stay as they were where the candidate stands out from them; where it nearly lies within
     their span, all move far and are worked out afresh at every step.
     """
-    return _afresh(found, score) if score.visible < NARROW else _quickly(found, score)
+    return _refitted(_Sight.of(found), score)
+
+
+def _refitted(sight: _Sight, score: Score) -> Candidate:
+    return _afresh(sight.found, score) if score.visible < NARROW else _quickly(sight, score)
 
 
 def _afresh(found: Fit, score: Score) -> Candidate:
@@ -214,19 +233,18 @@ def _afresh(found: Fit, score: Score) -> Candidate:
                      made.u(len(made.state.terms) - 1), score.steps, score.size)  # fmt: skip
 
 
-def _quickly(found: Fit, score: Score) -> Candidate:
-    sight = _Sight.of(found)
-    size = len(found.normal)
+def _quickly(sight: _Sight, score: Score) -> Candidate:
+    found, size = sight.found, len(sight.inverse)
     state = replace(found.state, terms=(*found.state.terms, score.term))
     order = fitting.layout(found.parts, state)
     state, left = _readjusted(sight, state, order, size)
     objective = float(left @ left) + fitting.penalty(found.parts, state)
     normal = found.normal
     for _ in range(ROUNDS):
-        columns = _candidate_columns(found, state)
+        columns = _candidate_columns(sight, state)
         cross = sight.cross(columns)
         normal = np.block([[found.normal, cross], [cross.T, columns.T @ columns]])
-        gradient = np.concatenate([_gradient(sight, state, left), columns.T @ left])
+        gradient = np.concatenate([_gradient(sight, state, left), columns.T @ left[sight.counting]])
         step = fitting.inverse(normal) @ gradient
         moved = _improved(found, state, order, step, objective)
         if moved is None:
@@ -257,16 +275,16 @@ def _readjusted(sight: _Sight, state: fitting.State, order: fitting.Layout, size
 def _gradient(sight: _Sight, state: fitting.State, left: Array) -> Array:
     """Of the model's own parameters at a state, with the columns as they were."""
     found = sight.found
-    rows = sight.cross(left[:, None])[:, 0]
+    rows = sight.cross(left[sight.counting])
     values, weights = fitting.prior_of(found.parts, replace(state, terms=state.terms[:-1]))
     return np.asarray(rows - weights * values)
 
 
-def _candidate_columns(found: Fit, state: fitting.State) -> Array:
+def _candidate_columns(sight: _Sight, state: fitting.State) -> Array:
     *others, term = state.terms
-    columns = [fitting.term_columns(part, state.local(part, n), others, term) for n, part in enumerate(found.parts)]
-    whole = np.concatenate(columns)
-    return whole if found.use is None else whole * found.use[:, None]
+    parts = enumerate(sight.found.parts)
+    columns = [fitting.term_columns(part, state.local(part, n), others, term) for n, part in parts]
+    return np.concatenate(columns)[sight.counting]
 
 
 def _improved(
@@ -299,7 +317,13 @@ def _within(value: float, bounds: tuple[float, float]) -> bool:
 
 
 def best(found: Fit, candidates: Sequence[Score], most: int, least: float) -> list[Candidate]:
-    """Refits of the most promising candidates, best first; those that promise less than `least` of χ² are left."""
+    """Refits of the most promising candidates, best first; those that promise less than `least` of χ² are left out.
+
+    Some may have sizes that are not `admissible`.
+    """
     chosen = [score for score in candidates if score.gain > least][:most]
-    refits = [refitted(found, score) for score in chosen]
-    return sorted((one for one in refits if admissible(one.term, one.u)), key=lambda one: -one.gain)
+    if not chosen:
+        return []
+    sight = _Sight.of(found)
+    refits = [_refitted(sight, score) for score in chosen]
+    return sorted(refits, key=lambda one: -one.gain)

@@ -101,8 +101,13 @@ class Tabled(ABC):
         """Relative uncertainty of the variances that the rows are weighed with."""
         return 0.06
 
+    def errors(self, left: Array) -> Array:
+        """Sum of squares of what is left over in every name's rows, referred to the input, SI², (names,)."""
+        squares = np.where(self.counted, left, 0.0).reshape(len(self.row_names), -1) ** 2
+        return np.asarray(np.sum(squares * self.noise(), axis=1))
+
     def shapes(self, component: str) -> Mapping[str, Array]:
-        """Laws that an error of this kind of row may follow, in words, each as SI values of the rows, (width,)."""
+        """Laws that an error of this kind of row may follow, in words, SI: (width,) or (names, width)."""
         return {}
 
     def title(self, name: str) -> str:

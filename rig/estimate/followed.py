@@ -1,0 +1,279 @@
+"""From imported rotations and free motion to records that a model follows: one grid, gravity, the parts that count."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.encoder_angle import AngleTrack, encoder_track
+from rig.errors import BadInput
+from rig.estimate.following import FollowRecords, spun_force
+from rig.estimate.turning import Shown
+from rig.foreign import Foreign, Table
+from rig.manifest import Column, Rotation
+from rig.model import Array, Channels
+from rig.pose_track import PoseTrack, pose_track
+
+PIECE = 10.0  # s of a stretch
+SAMPLES = 4.0  # per period of the highest frequency compared
+TAPS = 8  # of the low-pass before thinning, per instant kept
+SHORTEST = 4.0  # s of a record between gaps that is worth comparing
+SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One table on the reference's grid: observed (c, n), motion, and which instants count."""
+
+    table: Table
+    time: Array
+    observed: Array
+    good: NDArray[np.bool_]
+    interval: float
+    track: AngleTrack | PoseTrack
+    step: int = 1
+
+    def of_track(self, name: str, begin: int, end: int) -> Array:
+        """Values of the track at some instants of the grid."""
+        values: Array = getattr(self.track, name)[..., :: self.step]
+        return values[..., begin:end]
+
+
+def rotations(foreign: Foreign) -> FollowRecords:
+    """Every file of a run of kind "rotation" together. Raises BadInput where nothing can be compared."""
+    made = foreign.manifest.rotation
+    assert made is not None
+    pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
+    return _joined(foreign, pieces, made)
+
+
+def motions(foreign: Foreign) -> FollowRecords:
+    """Every file of a run of kind "motion" together. Raises BadInput where nothing can be compared."""
+    return _joined(foreign, [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables], None)
+
+
+def _turned(foreign: Foreign, table: Table) -> AngleTrack:
+    made = foreign.manifest
+    columns = made.of("reference", "angle")
+    if not columns:
+        return _counted(foreign, table)
+    u = foreign.u(table, columns[0])
+    return encoder_track(
+        foreign.time(table), foreign.si(table, columns[0]), u_angle=0.0 if u is None else float(u[0]),
+        keep=made.compared.rate_band,  # no weights for jitter: those that go with the rate would bend the response
+    )  # fmt: skip
+
+
+def _counted(foreign: Foreign, table: Table) -> AngleTrack:
+    """From the sampled lines of an encoder."""
+    from rig.encoder_angle import angle_of_lines
+
+    made, lines = foreign.manifest, []
+    for quantity in ("line_a", "line_b", "index_line"):
+        found = made.of("reference", quantity)
+        lines.append(foreign.si(table, found[0]) if found else None)
+    assert made.rotation is not None
+    assert made.rotation.lines is not None
+    time = foreign.time(table)
+    angle = angle_of_lines(time, lines[0], lines[1], lines[2], lines=made.rotation.lines)
+    return encoder_track(time, angle, keep=made.compared.rate_band)
+
+
+def _posed(foreign: Foreign, table: Table) -> PoseTrack:
+    made = foreign.manifest
+    assert made.pose is not None
+    position: dict[str | None, Array] = {one.axis: foreign.si(table, one) for one in made.of("reference", "position")}
+    quaternion: dict[str | None, Array] = {
+        one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
+    }
+    band = max((b for b in (made.compared.rate_band, made.compared.force_band) if b), default=None)
+    return pose_track(
+        foreign.time(table), np.stack([position[a] for a in AXES], axis=1),
+        np.stack([quaternion[c] for c in "wxyz"], axis=1), convention=made.pose.quaternion, up=made.pose.up,
+        gravity=made.gravity.value, keep=band,
+    )  # fmt: skip
+
+
+def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _Piece:
+    """The device's channels at the instants of the reference's grid; splines through what was sampled."""
+    from scipy.interpolate import CubicSpline
+
+    time, found = foreign.time(table), []
+    good = track.good.copy()
+    for column in _device(foreign):
+        values = foreign.si(table, column)
+        stamps = time + column.delay
+        known = np.isfinite(stamps) & np.isfinite(values)
+        later = np.flatnonzero(known)
+        later = later[np.diff(np.maximum.accumulate(stamps[later]), prepend=-math.inf) > 0.0]
+        spline = CubicSpline(stamps[later], values[later])
+        found.append(spline(track.time))
+        near = np.searchsorted(stamps[later], track.time).clip(1, len(later) - 1)
+        gap = stamps[later][near] - stamps[later][near - 1]
+        good &= gap < 5.0 * track.interval
+        good &= (track.time >= stamps[later][0]) & (track.time <= stamps[later][-1])
+    return _thinned(
+        _Piece(table, track.time, np.array(found), good, track.interval, track), max(_bands(foreign, track))
+    )
+
+
+def _thinned(piece: _Piece, band: float) -> _Piece:
+    """Every few instants, as many as the band needs: the device low-passed without delay, flat within the band."""
+    from scipy.ndimage import convolve1d
+    from scipy.signal import firwin
+
+    step = math.floor(1.0 / (SAMPLES * band * piece.interval))
+    if step < 2:
+        return piece
+    taps = firwin(TAPS * step + 1, 0.5 * SAMPLES * band, window=("kaiser", 8.0), fs=1.0 / piece.interval)
+    smooth = convolve1d(piece.observed, taps, axis=1, mode="nearest")[:, ::step]
+    margin = np.ones(TAPS * step + 1)
+    good = (np.convolve(piece.good, margin, mode="same") > len(margin) - 0.5)[::step]
+    return replace(
+        piece, time=piece.time[::step], observed=smooth, good=good, interval=step * piece.interval, step=step
+    )
+
+
+def _device(foreign: Foreign) -> list[Column]:
+    return [one for one in foreign.manifest.of("device") if one.quantity in ("acceleration", "rate")]
+
+
+def channels_of(columns: Sequence[Column]) -> Channels:
+    """Channels of imported columns: SI in, SI out, or counts with their sensitivity taken off on reading."""
+    for one in columns:
+        if one.axis is None:
+            raise BadInput(f"{one.channel}: found no axis, wanted x, y or z")
+    return Channels(
+        names=tuple(one.channel for one in columns),
+        rates=np.array([one.quantity == "rate" for one in columns]),
+        axis=np.array([AXES.index(one.axis or "x") for one in columns]),
+        slot=np.zeros(len(columns), np.intp),
+        side=np.full(len(columns), math.nan),
+        sensitivity=np.ones(len(columns)),
+        tolerance=np.array([one.tolerance for one in columns]),
+        pole=np.array([one.bandwidth or math.inf for one in columns]),
+        unit=("unit",) * len(columns),
+    )
+
+
+def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | None) -> FollowRecords:
+    """Pieces one after the other, cut where nothing counts."""
+    made = foreign.manifest
+    interval = float(np.median([piece.interval for piece in pieces]))
+    bands = tuple(np.min([_bands(foreign, piece.track) for piece in pieces], axis=0).tolist())
+    runs = [(piece, begin, end) for piece in pieces for begin, end in _whole(piece, interval)]
+    if not runs:
+        raise BadInput(f"{foreign.run}: found no {SHORTEST:g} s without a gap, wanted some to compare")
+    cut = [slice(begin, end) for _, begin, end in runs]
+    bounds = np.cumsum([0, *(s.stop - s.start for s in cut)]).tolist()
+    records = tuple(itertools.pairwise(bounds))
+    stretches, held = _stretches(foreign, runs, records, interval)
+    observed = np.concatenate([piece.observed[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
+    time = np.concatenate([piece.time[s] for (piece, _, _), s in zip(runs, cut, strict=True)])
+    notes = [note for piece in pieces for note in piece.track.notes]
+    data = FollowRecords(
+        name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
+        channels=channels_of(_device(foreign)), observed=observed, interval=interval, time=time, shown=None, axis=0,
+        upright=0.0, phase=0.0, rate=np.zeros((3, len(time))), turning=np.zeros((3, len(time))),
+        force=np.zeros((3, len(time))), up=np.zeros((3, len(time))), gravity=made.gravity.value, records=records,
+        stretches=stretches, held=held, bands=bands, notes=tuple(notes), blind=_BLIND,
+    )  # fmt: skip
+    if rotation is None:
+        vectors = {
+            name: np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs], axis=1)
+            for name in ("rate", "turning", "force", "up")
+        }
+        return FollowRecords(**{**vars(data), **vectors})
+    return _with_encoder(data, runs, rotation)
+
+
+_BLIND = (
+    "a delay that all channels share and an offset of the reference's time stamps are one and the same here: which of "
+    "the two it is, only one clock for both or an event that both see would tell",
+)
+
+
+def _with_encoder(data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation) -> FollowRecords:
+    """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
+    arrays = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
+              for name in ("angle", "rate", "acceleration")]  # fmt: skip
+    axis = AXES.index(rotation.axis)
+    found, said = _sense(data, axis, arrays[1])
+    sense = float(rotation.sense or found or 1)
+    notes = list(data.notes)
+    if said and rotation.sense is None:
+        notes.append(said)
+    shown = Shown(*(sense * one for one in arrays))
+    rate, turning = np.zeros_like(data.rate), np.zeros_like(data.rate)
+    rate[axis], turning[axis] = shown.rate, shown.acceleration
+    upright, phase = _gravity(data, axis, shown.angle, rotation.upright)
+    made = FollowRecords(**{**vars(data), "shown": shown, "axis": axis, "upright": upright, "phase": phase,
+                            "rate": rate, "turning": turning, "notes": tuple(notes)})  # fmt: skip
+    force = spun_force(made, shown.angle)
+    return FollowRecords(**{**vars(made), "force": force, "up": force / made.gravity})
+
+
+def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
+    """Sign of the gyro along the axis against the reference, and a sentence if they are against each other."""
+    for row, name in enumerate(data.channels.names):
+        if data.channels.rates[row] and data.channels.axis[row] == axis:
+            r = float(np.corrcoef(data.observed[row], rate)[0, 1])
+            if r < -SURE:
+                return -1, (
+                    f"sign: {name} counts against the encoder's angle (correlation {r:.3f}); which of them is right "
+                    "nobody states, so the encoder is taken to count against a right-hand turn about "
+                    f"{AXES[axis]}"
+                )
+            if r > SURE:
+                return 1, ""
+    return 0, ""
+
+
+def _gravity(data: FollowRecords, axis: int, angle: Array, upright: bool) -> tuple[float, float]:
+    """Which way up an upright axis stands, or the angle at which gravity's side lies, from the accelerometers."""
+    means = {}
+    for row in np.flatnonzero(~data.channels.rates):
+        means[int(data.channels.axis[row])] = data.observed[row]
+    if upright:
+        return (-1.0 if axis in means and float(means[axis].mean()) < 0.0 else 1.0), 0.0
+    first, second = (means.get((axis + k) % 3, np.zeros(len(angle))) for k in (1, 2))
+    return 0.0, float(np.angle(np.sum((first + 1j * second) * np.exp(1j * angle))))
+
+
+def _bands(foreign: Foreign, track: AngleTrack | PoseTrack) -> tuple[float, float]:
+    """Of rates and of forces, Hz: as stated, else where the track is trustworthy."""
+    stated, own = foreign.manifest.compared, track.bandwidth
+    trusted = own if isinstance(own, tuple) else (own, own)
+    return stated.rate_band or trusted[0], stated.force_band or trusted[1]
+
+
+def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:
+    """Bounds of runs of instants that count."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], piece.good, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+        if (end - begin) * interval >= SHORTEST:
+            yield begin, end
+
+
+def _stretches(
+    foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float
+) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:
+    """Pieces of about equal length, and whether each is held out: of a file so marked, else the end of every file."""
+    by_file = any(table.held_out for table in foreign.tables)
+    share = foreign.manifest.compared.held_out
+    found, held = [], []
+    for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
+        count = max(1, round((end - begin) * interval / PIECE))
+        length = (end - begin) // count
+        limit = piece.time[0] + (1.0 - share) * (piece.time[-1] - piece.time[0])
+        for k in range(count):
+            found.append((first + k * length, first + (k + 1) * length))
+            late = piece.time[begin + k * length] >= limit - 0.5 * length * interval
+            held.append(piece.table.held_out if by_file else bool(late))
+    return tuple(found), np.array(held)

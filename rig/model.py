@@ -130,6 +130,7 @@ class Effect:
     absorbed: ClassVar[str] = ""
     kinked: ClassVar[bool] = False  # a characteristic that is not smooth
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
+    instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:

@@ -15,11 +15,13 @@ from rig.cli.options import json_option, print_json, runs_option
 if TYPE_CHECKING:
     from rig.estimate.conclusion import Candidate, Conclusion
     from rig.estimate.misfit import Comparison, Condition, Group
+    from rig.estimate.prediction import Prediction
     from rig.model_file import Model, Step
     from rig.repair import Bench, Repaired
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+NEAR = 0.5  # of the excess that the nearest on the shelf explains: worth trying
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 EFFECT = click.argument("effect", metavar="EFFECT")
 MODEL = click.option(
@@ -85,10 +87,12 @@ def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, eff
 
 @click.command(short_help="Error against noise, and where a model fails.")
 @RUN_NAMES
+@click.option("--as-is", is_flag=True, help="Hold the model's values: does it predict runs that it was not fitted to?")
 @model_options
 def compare(
-    names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
-) -> None:
+    names: tuple[str, ...], as_is: bool, model: Path | None, start: str | None, effects: Path | None, runs: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Fit the model to runs and compare its error with the noise measured independently; 1 is noise and nothing else.
 
     RUN is a run's name, `last`, or `all` for every completed run in the folder. Without a model file the data sheet's
@@ -97,15 +101,64 @@ def compare(
     from rig.misfit_figures import draw
 
     work = opened(names, runs, model, start, effects)
+    if as_is:
+        _predict(work, as_json)
+        return
     found = _compared(work, work.model)
     figures = draw(work.bench.evidence, found.fit, work.figures)
     if as_json:
         print_json(found.as_json(figures))
         return
-    click.echo("\n".join([_title("compare", work), *groups_text(found.groups), *worst_text(found.worst)]))
+    notes = _notes_text(work)
+    said = [*groups_text(found.groups), *worst_text(found.worst), *notes]
+    click.echo("\n".join([_title("compare", work), *said]))
     for path in figures:
         click.echo(f"figure: {path}")
     click.echo(f"next: rig diagnose {work.words}")
+
+
+def _predict(work: Opened, as_json: bool) -> None:
+    """Compare with the model's values held, and say what a level of its own for every channel would explain."""
+    from rig.errors import BadInput
+    from rig.estimate.prediction import predict
+    from rig.model_file import terms_of
+
+    model = work.model
+    if not model.channels:
+        raise BadInput(f"{work.path}: found no fitted model, wanted one to hold; next: rig fit RUN of the same unit")
+    sensitivity = {name: one.sensitivity.value for name, one in model.channels.items()}
+    pole = {name: one.pole.value for name, one in model.channels.items() if one.pole is not None}
+    terms = terms_of(model, work.bench.shelf)
+    found = predict(work.bench.evidence, terms, sensitivity, pole, poles=model.poles)
+    if as_json:
+        print_json(found.as_json())
+        return
+    said = [*prediction_text(found), *_notes_text(work)]
+    click.echo("\n".join([_title("compare as it is", work), *said]))
+    click.echo(f"next: rig {'fit' if found.holds else 'diagnose'} {work.words}")
+
+
+def prediction_text(found: Prediction) -> list[str]:
+    """A model held as it is: its error, and what one factor per channel explains of it."""
+    lines = [*groups_text(found.as_is.groups), "  with a level of its own for every channel:"]
+    lines += groups_text(found.levelled.groups)
+    lines += [f"  {one.channel}: level {one.relative:+.3%} ± {2.0 * one.u:.3%} (k = 2)" for one in found.levels]
+    if found.holds:
+        lines.append(
+            "  the shape holds: what differs is one factor at every condition, which is sensitivity, reference"
+        )
+        lines.append("  or mounting, and not the sensor's dynamics")
+    else:
+        lines.append("  the shape does not hold: no factor explains what is left")
+    return lines
+
+
+def _notes_text(work: Opened) -> list[str]:
+    """What is to be said of imported records; of the rig's own, a diagnosis says it among what cannot be seen."""
+    evidence = work.bench.evidence
+    return (
+        ["of the records:", *(f"  {note}" for note in evidence.notes)] if evidence.imported and evidence.notes else []
+    )
 
 
 def _compared(work: Opened, model: Model) -> Comparison:
@@ -178,7 +231,7 @@ def diagnose(
     if as_json:
         print_json(diagnosis_as_json(said, _compared(work, work.model).as_json([])["groups"]))
         return
-    click.echo("\n".join([_title("diagnose", work), *diagnosis_text(said)]))
+    click.echo("\n".join([_title("diagnose", work), *diagnosis_text(said), *_notes_text(work)]))
     click.echo(f"next: {_next_after(said, work)}")
 
 
@@ -250,14 +303,22 @@ def _other_text(one: Candidate) -> str:
     return f"{one.effect} ({values}{size}), error {one.error_after:.4g}, probability {one.probability:.2g}"
 
 
+def _first(said: Conclusion, work: Opened) -> str:
+    """The first effect taken as `rig add` wants it."""
+    first = said.taken[0]
+    effect = work.bench.shelf.get(first.effect)
+    on = f" --on {first.on}" if effect is not None and len(effect.quantities) > 1 else ""
+    return f"{first.effect} {work.words}{on}"
+
+
 def _next_after(said: Conclusion, work: Opened) -> str:
     if said.verdict == "missing":
-        first = said.taken[0]
-        effect = work.bench.shelf.get(first.effect)
-        on = f" --on {first.on}" if effect is not None and len(effect.quantities) > 1 else ""
-        return f"rig add {first.effect} {work.words}{on}"
+        return f"rig add {_first(said, work)}"
     if said.verdict == "adequate":
         return f"rig fit {work.words}, rig history {work.words}"
+    if said.taken and said.diagnosis.explained > NEAR:
+        share = f"(with what follows it explains {said.diagnosis.explained:.0%})"
+        return f"rig add {_first(said, work)} {share}, rig compare {work.words}"
     return f"rig compare {work.words}"
 
 

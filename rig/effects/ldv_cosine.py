@@ -7,6 +7,7 @@ from rig.model import Array, Complexes, Coordinate, Effect, Parameter, Values
 
 class LdvCosine(Effect):
     stage = "reference"
+    instrument = "vibrometer"
     title = "angle of the vibrometer's beam"
     equation = "a = a_shown/cos(angle)"
     places = ("shaker",)

@@ -9,6 +9,7 @@ from rig.model import Array, Complexes, Coordinate, Effect, Parameter, Values
 
 class LdvDelay(Effect):
     stage = "reference"
+    instrument = "vibrometer"
     title = "delay of the vibrometer's decoder"
     equation = "a = a_shown·exp(+j·2π·f·time)"
     places = ("shaker",)

@@ -8,6 +8,7 @@ from rig.model import Coordinate, Effect, Parameter
 
 class LdvDropout(Effect):
     stage = "reference"
+    instrument = "vibrometer"
     title = "dropouts of the vibrometer"
     equation = "v_shown = v·(1 − depth) for a share of the time"
     places = ("shaker",)

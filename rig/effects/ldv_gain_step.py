@@ -9,6 +9,7 @@ from rig.model import Array, Complexes, Coordinate, Effect, Motion, Parameter, Q
 
 class LdvGainStep(Effect):
     stage = "reference"
+    instrument = "vibrometer"
     title = "gain step between the vibrometer's ranges"
     equation = "a = a_shown/(1 + step) where scale ≤ range"
     places = ("shaker",)

@@ -11,6 +11,7 @@ HALF_POWER = 1.755672  # rad/s, where a three-pole Bessel filter of 1 s delay is
 
 class LdvLowPass(Effect):
     stage = "reference"
+    instrument = "vibrometer"
     title = "low-pass of the vibrometer's decoder"
     equation = "a = a_shown/H, H = 15/(s³ + 6·s² + 15·s + 15), s = 1.755672·j·f/corner"
     places = ("shaker",)

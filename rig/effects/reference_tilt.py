@@ -14,7 +14,7 @@ class ReferenceTilt(Effect):
     places = ("rotation", "free")
     coordinates = (Coordinate("x", 1e-3), Coordinate("y", 1e-3), Coordinate("z", 1e-3))
     parameters = tuple(Parameter(axis, "rad", (-math.pi, math.pi), (0.0, 0.1)) for axis in "xyz")
-    missing = "every axis shows shares of the others, of rates and of accelerations alike and against each other in sign"
+    missing = "every axis shows shares of the others, of rates and accelerations alike, with opposite signs"
     confused_with = ("cross_axis", "non_orthogonality")
     separate_by = "the case's own edges as reference, or gravity in known poses; shares that differ are the sensor's"
     source = "error sources T08; IEEE 1293 (misalignment of mounting)"

@@ -32,6 +32,7 @@ class Evidence:
     simulated: bool
     notes: tuple[str, ...]
     blind: tuple[str, ...] = field(default=())
+    imported: bool = False  # whether all runs are
 
     @property
     def sines(self) -> list[Sines]:
@@ -83,6 +84,7 @@ def evidence_of(runs: Sequence[Recorded]) -> Evidence:
         parts, tuple(known), tuple(run.name for run in runs), str(header["sensor"]["serial"]),
         any(bool(run.header["simulated"]) for run in runs), tuple(_notes(runs, parts)),
         tuple(dict.fromkeys(said for part in parts if isinstance(part, Tabled) for said in part.blind)),
+        not own,
     )  # fmt: skip
 
 

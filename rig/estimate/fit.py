@@ -37,6 +37,7 @@ class Part(Protocol):
     name: str
     place: str
     channels: Channels
+    instruments: frozenset[str]
     target: Array  # (rows,)
     extra: Array  # (rows, k): nuisances with a prior of one standard deviation each
 

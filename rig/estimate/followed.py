@@ -23,6 +23,7 @@ PIECE = 10.0  # s of a stretch
 SAMPLES = 4.0  # per period of the highest frequency compared
 TAPS = 8  # of the low-pass before thinning, per instant kept
 SHORTEST = 4.0  # s of a record between gaps that is worth comparing
+EDGE = 8  # instants at either end of a record that are not compared
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
 AXES = "xyz"
 
@@ -264,11 +265,15 @@ def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:
 def _stretches(
     foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float
 ) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:
-    """Pieces of about equal length, and whether each is held out: of a file so marked, else the end of every file."""
+    """Pieces of about equal length, and whether each is held out: of a file so marked, else the end of every file.
+
+    The ends of a record are left out: what a model does to a motion is not known there, because what was before is not.
+    """
     by_file = any(table.held_out for table in foreign.tables)
     share = foreign.manifest.compared.held_out
     found, held = [], []
     for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
+        begin, end, first = begin + EDGE, end - EDGE, first + EDGE
         count = max(1, round((end - begin) * interval / PIECE))
         length = (end - begin) // count
         limit = piece.time[0] + (1.0 - share) * (piece.time[-1] - piece.time[0])

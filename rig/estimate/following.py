@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -23,10 +23,11 @@ from rig.estimate.tabled import Cut, Mask, Tabled
 from rig.estimate.turning import Shown, true_motion
 from rig.model import Channels, Effect, Local, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
-from rig.spectrum import log_bins
 
 DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
 PER_DECADE = 8.0
+FREE = 10.0  # lines' worth of freedom that a density is worked out from at least
+RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
 ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
 ROOM = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
 ALLOWANCE = 0.2
@@ -174,13 +175,13 @@ class Following(Tabled):
         f = self.frequency_of
         here = (f <= self.data.bands[0 if of_rate else 1]) & (f > 0.0)
         columns = self._filters(of_rate)[:, here].T
-        weight = np.ones(int(here.sum()))
+        density = np.ones(int(here.sum()))
         for _ in range(ROUNDS):
-            solved, _, rank, _ = np.linalg.lstsq(columns * weight[:, None], target[here] * weight, rcond=1e-9)
-            left = target[here] - columns @ solved
-            share = max(1.0 - rank / len(left), 0.1)
-            density = _smooth(f[here], left**2 / share)
             weight = 1.0 / np.sqrt(density)
+            basis = _orthonormal(columns * weight[:, None])
+            aim = target[here] * weight
+            left = (aim - basis @ (basis.T @ aim)) / weight
+            density = _smooth(f[here], left**2, 1.0 - np.sum(basis**2, axis=1))
         found = np.interp(f, *_sorted(f[here], density))
         return np.asarray(np.where(f > 0.0, found, found.max()))
 
@@ -202,7 +203,7 @@ class Following(Tabled):
         scale = 2.0 * math.pi * max(self.data.bands)
         found = []
         for order in range(DERIVATIVES):
-            moved = self.grid.observed(signals, lambda f, order=order: _power(f, order, scale))
+            moved = self.grid.observed(signals, partial(_power, order=order, scale=scale))
             lines = self.lines(np.asarray(moved, np.float64))
             found.append(lines / np.linalg.norm(lines, axis=1, keepdims=True))
         return np.concatenate(found)
@@ -272,13 +273,13 @@ class Following(Tabled):
         return {words: lines for words, lines in found.items() if np.any(lines[:, self.frequency_of > 0.0])}
 
 
-def _power(frequency: Array, order: int, scale: float) -> Complexes:
+def _power(frequency: Array, *, order: int, scale: float) -> Complexes:
     return np.asarray((2j * math.pi * frequency / scale) ** order)
 
 
 def _varying(signals: Array) -> Array:
     """Signals that are not constant."""
-    return signals[np.ptp(signals, axis=1) > 1e-9 * (1.0 + np.abs(signals).max())]
+    return np.asarray(signals[np.ptp(signals, axis=1) > 1e-9 * (1.0 + np.abs(signals).max())])
 
 
 def _sorted(f: Array, values: Array) -> tuple[Array, Array]:
@@ -286,8 +287,36 @@ def _sorted(f: Array, values: Array) -> tuple[Array, Array]:
     return f[order], values[order]
 
 
-def _smooth(f: Array, power: Array) -> Array:
-    """Power of lines (n,) smoothed over bins of log frequency, at the same lines."""
-    at, values = _sorted(f, power)
-    bins = log_bins(at * (1.0 + 1e-12 * np.arange(len(at))), values, PER_DECADE, 1.0)
-    return np.asarray(np.exp(np.interp(np.log(f), np.log(bins.frequency), np.log(bins.density))))
+def _orthonormal(columns: Array) -> Array:
+    """An orthonormal basis of what these columns (n, k) span, (n, rank)."""
+    vectors, sizes, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return np.asarray(vectors[:, sizes > RESOLVED * sizes[0]])
+
+
+def _smooth(f: Array, power: Array, freedom: Array) -> Array:
+    """Density at every line (n,), from the power that a filter left and the freedom that it left to each line.
+
+    Lines are taken together in bins of log frequency, and so many of them that some freedom is left: a line that the
+    filter follows by itself leaves nothing over, and that is no lack of noise.
+    """
+    at, power = _sorted(f, power)
+    _, freedom = _sorted(f, freedom)
+    places, free, whole = [], [], []
+    begin = 0
+    for end in _bins(at, freedom):
+        places.append(float(np.log(at[begin:end]).mean()))
+        free.append(float(freedom[begin:end].sum()))
+        whole.append(float(power[begin:end].sum()))
+        begin = end
+    levels = np.log(np.array(whole) / np.array(free))
+    return np.asarray(np.exp(np.interp(np.log(f), places, levels)))
+
+
+def _bins(f: Array, freedom: Array) -> list[int]:
+    """Ends of bins among rising frequencies: PER_DECADE of them, wider where less freedom than FREE is left."""
+    ends, begin, total = [], 0, np.concatenate([[0.0], np.cumsum(freedom)])
+    for end in [*(np.flatnonzero(np.diff(np.floor(np.log10(f) * PER_DECADE))) + 1).tolist(), len(f)]:
+        if total[end] - total[begin] >= FREE:
+            ends.append(end)
+            begin = end
+    return [*ends[:-1], len(f)]

@@ -7,7 +7,11 @@ from rig.estimate import nuisances
 from rig.estimate.fit import Part
 from rig.estimate.followed import motions, rotations
 from rig.estimate.following import Following
+from rig.estimate.posed import Posed
 from rig.estimate.responding import Responding, responses
+from rig.estimate.shaken_foreign import sweeps
+from rig.estimate.sines import Sines
+from rig.estimate.standing import posed
 from rig.foreign import Foreign
 from rig.model import Term
 
@@ -26,5 +30,9 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
             return [Following(turned)], nuisances.of_rotation(turned.axis) if lies else []
         case "motion":
             return [Following(motions(foreign))], []
+        case "sweep":
+            return [Sines(data) for data in sweeps(foreign)], []
+        case "poses":
+            return [Posed(data) for data in posed(foreign)], []
         case kind:
             raise BadInput(f"{foreign.run}: found data of kind {kind}, wanted one that a model can be compared with")

@@ -14,6 +14,8 @@ import numpy as np
 
 from rig.estimate.evidence import Evidence
 from rig.estimate.fit import Fit
+from rig.estimate.sine_lines import drive_clock
+from rig.estimate.sines import SineRecords
 from rig.model import Effect, Term
 
 CLOCK = 20e-6  # what generator and converter state of their clocks together, relative
@@ -73,7 +75,7 @@ def _clock(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[Finding]
     ratios = [
         part.data.frequency[driven] / part.data.nominal[driven] - 1.0
         for part in evidence.sines
-        if (driven := part.data.nominal > 0.0).any()
+        if (driven := part.data.nominal > 0.0).any() and not drive_off(part.data)
     ]
     if not ratios or "clock_ratio" not in shelf:
         return
@@ -82,6 +84,11 @@ def _clock(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[Finding]
         f"every driven frequency is {error * 1e6:+.0f} ppm off by the converter's clock, stated ± {CLOCK * 1e6:.0f}"
     )
     yield Finding(Term(shelf["clock_ratio"], None, {"error": error}), {"error": CLOCK}, (error / CLOCK) ** 2, because)
+
+
+def drive_off(data: SineRecords) -> bool:
+    """Whether the drive is off and not the converter's clock: mains lines then come out at the mains frequency."""
+    return drive_clock(data.frequency, data.nominal, data.leftovers, data.mains) is not None
 
 
 def implausible(found: Fit) -> list[str]:

@@ -67,6 +67,8 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> lis
     there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
     result = []
     for effect in shelf.values():
+        if effect.instrument and not any(effect.instrument in part.instruments for part in found.parts):
+            continue
         if effect.looks_in != looks_in or effect.absorbed or not places.intersection(effect.places):
             continue
         quantities: Iterable[Quantity | None] = effect.quantities or (None,)

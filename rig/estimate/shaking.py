@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import noise, tone, units
+from rig import tone, units
 from rig.estimate.channels import channels_of
 from rig.estimate.conditions import smoothed
+from rig.estimate.sine_lines import LIMIT, density, slow_noise, taken
 from rig.estimate.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
 from rig.motion import ORDERS
 from rig.records import Recorded, Signals, mounts, reference, signals
-from rig.spectrum import Density, log_bins
+from rig.spectrum import Density
 from rig.vibration import Chain, Sine, SinePoint, chain_of, sines
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-PER_DECADE = 20.0
 LONGEST = 60.0  # s of a record at rest that are looked at
 OUTSTANDING = 6.0  # robust standard deviations: one sample in 10⁹ of normal noise
 FEW = 1e-9  # share of samples that may stand out
 GATINGS = 3
-FOLDED = 24  # harmonics that are no noise, those beyond half the sampling rate among them
-LIMIT = 1.5  # lines beside one that was fitted, or mains: not noise
 
 
 @dataclass(frozen=True)
@@ -185,8 +183,8 @@ def _record(
     step = float(np.diff(np.sort(found.skew))[0]) if len(found.skew) > 1 else 0.0
     names = list(found.names)
     free = np.array([not found.clipped.get(name) for name in names])
-    taken = _taken(np.asarray(at, np.float64), point, resolution)
-    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], taken)
+    marked = taken(np.asarray(at, np.float64), point.frequency if point else None, resolution)
+    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], marked)
     return _Record(
         begin=begin,
         seconds=count / found.rate,
@@ -210,17 +208,6 @@ def _at(left: Array, found: Signals, frequency: float) -> Complexes:
     return np.asarray(turned * np.exp(-2j * math.pi * frequency * found.skew))
 
 
-def _taken(at: Array, point: SinePoint | None, resolution: float) -> NDArray[np.bool_]:
-    """Lines at zero and near any multiple of the drive, folded or not: a clipped sine has many."""
-    taken = at < 0.5 * resolution
-    if point is not None:
-        rate = 2.0 * float(at[-1])
-        for order in range(1, FOLDED + 1):
-            folded = abs((order * point.frequency + at[-1]) % rate - at[-1])
-            taken |= np.abs(at - folded) < LIMIT * resolution
-    return np.asarray(taken)
-
-
 def _mean(found: Signals, name: str, factor: float) -> float:
     return float(found.of(name).mean()) * factor if name in found.names else math.nan
 
@@ -237,9 +224,12 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     cables = list(records.header["bench_file"]["cables"]["shaker"])
     channels = channels_of(records, cables, relative_to="ldv")
     rows = np.array([cables.index(n) for n in channels.names])
-    densities = [_density(whole, row, mains) for row in rows]
+    leftovers = [one.leftover for one in whole]
+    densities = [density(leftovers, row, mains) for row in rows]
     step = 20.0 / 65535.0
-    models = tuple(_slow(d, float(pole), whole, step) for d, pole in zip(densities, channels.pole, strict=True))
+    models = tuple(
+        slow_noise(d, float(pole), leftovers[0], step) for d, pole in zip(densities, channels.pole, strict=True)
+    )
     points = [one.point for one in whole]
     begins = np.array([one.begin for one in whole])
     observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
@@ -300,29 +290,6 @@ def _nominal(records: Recorded, point: SinePoint) -> float:
     return float(records.points[point.index]["frequency"])
 
 
-def _density(whole: Sequence[_Record], row: int, mains: float) -> Density:
-    """Density of a channel's leftovers, V²/Hz, averaged over all records in bins of log frequency."""
-    gathered: list[tuple[Array, Array]] = []
-    for one in whole:
-        left = one.leftover
-        at = np.arange(len(left.amplitude)) * left.resolution
-        hum = np.abs(at / mains - np.round(at / mains)) * mains < LIMIT * left.resolution
-        free = ~left.taken & ~hum
-        free[-1] = False
-        gathered.append((at[free], np.abs(left.amplitude[free, row]) ** 2 / (2.0 * left.resolution)))
-    f, power = (np.concatenate([one[k] for one in gathered]) for k in (0, 1))
-    # equal frequencies of many records: a tiny step apart, for bins that rise
-    order = np.argsort(f, kind="stable")
-    return log_bins(f[order] * (1.0 + 1e-12 * np.arange(len(f))), power[order], PER_DECADE, 2.0)
-
-
-def _slow(density: Density, pole: float, whole: Sequence[_Record], step: float) -> noise.NoiseModel:
-    rate = whole[0].leftover.resolution * 2.0 * (len(whole[0].leftover.amplitude) - 1)
-    model = noise.fit_density(density, rate, step=step, pole=pole)
-    # flicker that records of this length could hide is counted: few of them say little below a hertz
-    return replace(model, flicker=max(model.flicker, model.white * whole[0].leftover.resolution))
-
-
 def _variances(densities: Sequence[Density], whole: Sequence[_Record], observed: Complexes, mains: float) -> Array:
     """Variance of each part of every line, V²: density ÷ length of the record."""
     found = np.full(observed.shape, np.nan)
@@ -330,7 +297,7 @@ def _variances(densities: Sequence[Density], whole: Sequence[_Record], observed:
         f = np.concatenate(
             [(one.point.frequency if one.point else math.nan) * np.arange(ORDERS), mains * np.array(MAINS_ORDERS)]
         )
-        for c, density in enumerate(densities):
-            at = np.interp(np.log(np.where(f > 0.0, f, 1.0)), np.log(density.frequency), density.density)
+        for c, of_channel in enumerate(densities):
+            at = np.interp(np.log(np.where(f > 0.0, f, 1.0)), np.log(of_channel.frequency), of_channel.density)
             found[c, p] = np.where(np.isfinite(observed[c, p]) & (f > 0.0), at / one.seconds, np.nan)
     return found

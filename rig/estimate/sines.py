@@ -81,6 +81,8 @@ class SineRecords:
     directions: Array  # drive, up and side in the case frame, (3, 3), columns
     leftovers: tuple[Leftover, ...] = ()
     notes: tuple[str, ...] = ()
+    held: NDArray[np.bool_] | None = None  # (p,): points that a model is judged by; every third without
+    vibrometer: bool = True  # whether the reference is one
 
 
 class Sines:
@@ -89,6 +91,7 @@ class Sines:
     place = "shaker"
 
     def __init__(self, data: SineRecords) -> None:
+        self.instruments = frozenset({"vibrometer"} if data.vibrometer else ())
         self.data, self.name, self.channels = data, data.name, data.channels
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
@@ -212,10 +215,12 @@ class Sines:
 
     @cached_property
     def held_out(self) -> NDArray[np.bool_]:
-        """Rows of every third point (in the order in which they were measured), (rows,)."""
+        """Rows of the points held out, else of every third (in the order in which they were measured), (rows,)."""
         c, p = self.data.usable.shape
         driven = np.cumsum(self.data.index >= 0) - 1
         out = (self.data.index >= 0) & (driven % HELD_OUT == HELD_OUT - 1)
+        if self.data.held is not None:
+            out = self.data.held
         return np.broadcast_to(out[None, :, None], (c, p, 2 * LINES - 1)).reshape(-1)
 
     @cached_property

@@ -37,6 +37,7 @@ class Tabled(ABC):
     channels: Channels
     target: Array  # (rows,)
     extra: Array  # (rows, k)
+    instruments: frozenset[str] = frozenset()  # kinds of reference with effects of their own
     row_names: tuple[str, ...]  # names of the table's rows; its channels unless rows belong to several
     row_rates: NDArray[np.bool_]  # (names,): whether a row is of a rate
     width: int

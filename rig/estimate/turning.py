@@ -78,6 +78,7 @@ class Turning:
     """A turntable run as a part of a fit."""
 
     place = "turntable"
+    instruments = frozenset({"encoder"})
 
     def __init__(self, data: TurnRecords) -> None:
         self.data, self.name, self.channels = data, data.name, data.channels

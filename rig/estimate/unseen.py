@@ -21,10 +21,22 @@ MOVING = 0.5  # rad/s
 def cannot_see(
     evidence: Evidence, scores: Iterable[Score], shelf: Mapping[str, Effect], misplaced: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Every limitation of these runs, one sentence each; `misplaced` is metadata that cannot be right."""
+    """Every limitation of these runs, one sentence each; `misplaced` is metadata that cannot be right.
+
+    Of imported records alone nothing is said about this bench's own experiments.
+    """
+    if evidence.imported:
+        return tuple(dict.fromkeys([*misplaced, *evidence.blind, *_within(scores)]))
     said = [*misplaced, *_conditions(evidence), *_hidden(evidence, scores), *_elsewhere(evidence, shelf)]
     said += [*_absorbed(evidence, shelf), *_untested(shelf), *evidence.blind, *evidence.notes]
     return tuple(dict.fromkeys(said))
+
+
+def _within(scores: Iterable[Score]) -> Iterator[str]:
+    """Effects of the shelf that imported records cannot show, in one sentence."""
+    names = sorted({score.start.key for score in scores if score.visible < HIDDEN})
+    if names:
+        yield f"within what the model fits anyway, and so not seen in this data: {', '.join(names)}"
 
 
 def _conditions(evidence: Evidence) -> Iterator[str]:

@@ -17,12 +17,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.encoder import Pulses, Trigger, middles
+from rig.encoder import Directions, Pulses, Trigger, middles
 from rig.errors import BadInput
 from rig.smoother import Curve, smooth, trusted
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
+TOGETHER = 0.02
+"""Share of edges of A and B within one sample above which the states cannot be counted one by one."""
+STANDING = 0.1
+"""Without an edge for longer than this the platter stands or creeps, s."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +125,12 @@ def _curve(
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     spans = step if weight is None else weight * float(np.mean(np.diff(time)))
     density = np.broadcast_to(2.0 * spans * np.square(u_angle), time.shape)
-    curve = smooth(time, angle[:, None], weight=weight, floor=_over_time(time, density), keep=keep)
+    curve = smooth(time, angle[:, None], weight=weight, floor=_over_time(time, density), keep=keep, steepest=0.0)
     if u_time == 0.0:
         return curve
     density = density + 2.0 * spans * (u_time * curve.value(time, 1)[:, 0]) ** 2
     floor = _over_time(time, density)
-    return smooth(time, angle[:, None], weight=weight, noise=density, floor=floor, keep=keep)
+    return smooth(time, angle[:, None], weight=weight, noise=density, floor=floor, keep=keep, steepest=0.0)
 
 
 def _over_time(time: Array, values: Array) -> float:
@@ -151,6 +155,25 @@ def _row_notes(time: Array, angle: Array, dropped: int, stamps: Array, limit: fl
     return tuple(notes)
 
 
+def angle_of_lines(
+    time: Array,
+    a: Array,
+    b: Array,
+    index: Array | None = None,
+    *,
+    lines: int,
+    a_leads: Literal[-1, 1] = 1,
+    low: float = 1.0,
+    high: float = 2.0,
+) -> Array:
+    """Angle (rad, (n,), unwrapped) at every sample of the outputs, straight from one edge to the next.
+
+    Arguments and errors are those of `quadrature_track`, which knows the uncertainty too.
+    """
+    edges, angle, _ = _counted((time, a, b, index), lines, a_leads, (low, high))
+    return np.interp(time, edges, angle)
+
+
 def quadrature_track(
     time: Array,
     a: Array,
@@ -171,21 +194,42 @@ def quadrature_track(
     `high` V it is high. `u_angle` (rad): standard uncertainty of a line's place on the disk. An edge is known to
     within half a sample. Raises BadInput if nothing moved, or if A and B change together too often to follow.
     """
-    pulses_a, pulses_b = Trigger(low, high).feed(a, time), Trigger(low, high).feed(b, time)
-    edges, steps, together = _steps(pulses_a, pulses_b)
-    quarter = TURN / (4 * lines) * a_leads
-    # the count changes at an edge, so the edge itself lies between two counts
-    angle = quarter * (np.cumsum(steps) - 0.5 * steps)
-    last = np.append(np.diff(edges) > 0.0, True)
-    edges, angle = edges[last], angle[last]
+    edges, angle, notes = _counted((time, a, b, index), lines, a_leads, (low, high))
     sample = float(np.median(np.diff(time)))
-    turned, notes = _zeroed(edges, angle, index, time, (low, high), lines)
-    stamps, filled, added = _filled(edges, turned, 4.0 * (interval or float(np.median(np.diff(edges)))))
-    u_each = np.hypot(u_angle, np.where(added, abs(quarter) / math.sqrt(12.0), 0.0))
+    stamps, filled, added = _filled(edges, angle)
+    u_each = np.hypot(u_angle, np.where(added, TURN / (4 * lines) / math.sqrt(12.0), 0.0))
     track = _smoothed(stamps, filled, interval, u_each, sample / math.sqrt(12.0), keep)
-    if together:
-        notes = (*notes, f"{together} of {len(steps)} edges of A and B came together: the direction before was kept")
     return replace(track, notes=(*notes, *track.notes))
+
+
+def _counted(
+    sampled: tuple[Array, Array, Array, Array | None], lines: int, a_leads: int, levels: tuple[float, float]
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Times of the edges (s), the angle there (rad, zero at the first index pulse), and notes."""
+    time, a, b, index = sampled
+    pulses = Trigger(*levels).feed(a, time), Trigger(*levels).feed(b, time)
+    edges, steps, together = _steps(*pulses)
+    if together > TOGETHER * len(steps):
+        edges, angle = _whole_lines(*pulses, TURN / lines * a_leads)
+        note = f"{together} of {len(steps)} edges of A and B came together: lines were counted by one edge of A"
+    else:
+        # the count changes at an edge, so the edge itself lies between two counts
+        angle = TURN / (4 * lines) * a_leads * (np.cumsum(steps) - 0.5 * steps)
+        note = f"{together} of {len(steps)} edges of A and B came together: the direction before was kept"
+    last = np.append(np.diff(edges) > 0.0, True)
+    turned, notes = _zeroed(edges[last], angle[last], index, time, levels, lines)
+    return edges[last], turned, (*notes, note) if together else notes
+
+
+def _whole_lines(a: Pulses, b: Pulses, line: float) -> tuple[Array, Array]:
+    """Rising edges of A (s) and the angle there (rad), where a state is too short for the samples: see `rig.encoder`.
+
+    Raises BadInput if the platter does not turn one way: forward and back, a rising edge lies half a line elsewhere.
+    """
+    sense = float(Directions().feed(a, b).mean())
+    if abs(sense) < 0.8:
+        raise BadInput(f"encoder: found lines in both directions (mean {sense:+.2f}), wanted faster sampling")
+    return a.rising, np.asarray(math.copysign(line, sense) * np.arange(len(a.rising)), np.float64)
 
 
 def _smoothed(
@@ -214,14 +258,11 @@ def _steps(a: Pulses, b: Pulses) -> tuple[Array, Array, int]:
     times, steps = times[order], np.concatenate([step_a, step_b])[order]
     same = np.diff(times) == 0.0
     tied = np.append(same, False) | np.insert(same, 0, False)
-    together = int(np.count_nonzero(tied))
-    if together > 0.02 * len(times):
-        raise BadInput(
-            f"encoder: found {together} of {len(times)} edges of A and B in one sample, wanted faster sampling"
-        )
     known = np.flatnonzero(~tied)
+    if not len(known):
+        return times, steps, len(times)
     before = np.clip(np.searchsorted(known, np.arange(len(times)), side="right") - 1, 0, None)
-    return times, steps[known[before]], together
+    return times, steps[known[before]], int(np.count_nonzero(tied))
 
 
 def _edges(pulses: Pulses) -> tuple[Array, Array]:
@@ -246,16 +287,21 @@ def _zeroed(
     places = np.interp(middles(pulses.rising, pulses.falling), edges, angle)
     if not len(places):
         return angle - angle[0], ("no index pulse: angle zero is the first edge",)
-    turns = (places - places[0]) / TURN
+    turns = np.diff(places) / TURN
     off = np.abs(turns - np.round(turns)) * lines
+    wrong = int(np.count_nonzero(off > 1.0))
     found = f"{len(places)} index pulses: angle zero is the first"
-    if float(off.max()) <= 1.0:
+    if not wrong:
         return angle - places[0], (found,)
-    wrong = f"{np.count_nonzero(off > 1.0)} index pulses are not whole turns apart, the worst by {off.max():.3g} lines"
-    return angle - places[0], (found, wrong)
+    lost = (
+        f"from one index pulse to the next {wrong} of {len(off)} are no whole turns, off by up to {off.max():.3g} lines"
+    )
+    if 2 * wrong > len(off):
+        raise BadInput(f"encoder: {lost}; wanted whole turns: another number of lines, or faster sampling")
+    return angle - places[0], (found, lost)
 
 
-def _filled(time: Array, angle: Array, widest: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _filled(time: Array, angle: Array, widest: float = STANDING) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Edges with points put in where none passed for long: the platter stood, or crept, between two lines.
 
     Such a point is known to a quarter of a line; the last array says which they are.

@@ -33,7 +33,7 @@ DEGREE = 5
 ORDERS = (3, 4, 5)
 KEPT = 0.99
 """Response that still counts as kept."""
-FINEST = 40
+FINEST = 20
 """The knots are set closer than 1 / (FINEST · f_half) only if the samples are."""
 FEWEST = 64
 """Samples that a spectrum needs."""
@@ -86,7 +86,7 @@ class LowPass:
         return LowPass(order, frequency * (1.0 / KEPT - 1.0) ** (-0.5 / order))
 
 
-def spectrum_of(time: Array, values: Array, floor: float = 0.0) -> Spectrum:
+def spectrum_of(time: Array, values: Array, floor: float = 0.0, steepest: float = STEEPEST) -> Spectrum:
     """Spectrum of samples at `time` (s, (n,), increasing), values (n, d); `floor`: noise known beforehand, unit²/Hz.
 
     The floor is for the sum of the components. Raises BadInput for too few samples.
@@ -105,7 +105,7 @@ def spectrum_of(time: Array, values: Array, floor: float = 0.0) -> Spectrum:
 
     frequency, power = welch(levelled.T, 1.0 / step, window=("kaiser", 16.0), nperseg=segment, detrend=straightened)
     total = np.maximum(power.sum(axis=0)[1:], np.finfo(float).tiny)
-    noise, bandwidth, seen = _noise_line(frequency[1:], total, floor)
+    noise, bandwidth, seen = _noise_line(frequency[1:], total, floor, steepest)
     return Spectrum(frequency[1:], total, noise, bandwidth, seen)
 
 
@@ -116,14 +116,14 @@ def _interpolated(time: Array, values: Array, even: Array) -> Array:
     return np.asarray(Akima1DInterpolator(time, values)(even), np.float64)
 
 
-def _noise_line(frequency: Array, power: Array, floor: float) -> tuple[Array, float, bool]:
+def _noise_line(frequency: Array, power: Array, floor: float, steepest: float) -> tuple[Array, float, bool]:
     """Noise (unit²/Hz), the frequency (Hz) at which the motion rises to it, and whether a noise line was seen."""
     bands = _bands(frequency, power)
     logs, heights = np.log(bands.middle), np.log(np.maximum(bands.median, floor))
     first = max(len(logs) - 8, 1)
-    seen = bool(np.polyfit(logs[first:], heights[first:], 1)[0] > -STEEPEST - 2.0)
+    seen = bool(np.polyfit(logs[first:], heights[first:], 1)[0] > -steepest - 2.0)
     while True:
-        slope, height = _line(logs[first:], heights[first:])
+        slope, height = _line(logs[first:], heights[first:], steepest)
         over = bands.mean[:first] > RISE * np.maximum(np.exp(height + slope * logs[:first]), floor)
         if over[-1] and (over[-2:].all() or bands.share[first - 1] > LINE):
             break
@@ -131,7 +131,7 @@ def _noise_line(frequency: Array, power: Array, floor: float) -> tuple[Array, fl
         if first == 0:
             return _extended(frequency, slope, height, 0.0, floor), float(frequency[0]), seen
     clear = min(first + 2, len(logs) - 3)  # the lowest two bands of the line may hold some of the motion
-    slope, height = _line(logs[clear:], heights[clear:])
+    slope, height = _line(logs[clear:], heights[clear:], steepest)
     noise = _extended(frequency, slope, height, float(bands.middle[first]), floor)
     above = np.flatnonzero((power > 2.0 * noise) & (frequency <= bands.end[first - 1]))
     return noise, float(frequency[above[-1]] if len(above) else bands.end[first - 1]), seen
@@ -168,19 +168,20 @@ def _bands(frequency: Array, power: Array) -> Bands:
     )
 
 
-def _line(x: Array, y: Array) -> tuple[float, float]:
-    """Slope and height of a line through points, by medians (Theil–Sen); it falls, by the power STEEPEST at most."""
+def _line(x: Array, y: Array, steepest: float) -> tuple[float, float]:
+    """Slope and height of a line through points, by medians (Theil–Sen); it falls, by this power at most."""
     run, rise = x[:, None] - x[None, :], y[:, None] - y[None, :]
     slope = float(np.median(rise[run > 0] / run[run > 0])) if len(x) > 1 else 0.0
-    slope = min(0.0, max(-STEEPEST, slope))
+    slope = min(0.0, max(-steepest, slope))
     return slope, float(np.median(y - slope * x))
 
 
-def risk(spectrum: Spectrum, low_pass: LowPass, derivative: int) -> float:
-    """Expected square of the error of a derivative, summed over the components, (unit/s^k)²."""
+def risk(spectrum: Spectrum, low_pass: LowPass, derivative: int) -> tuple[float, float]:
+    """Expected square of the error of a derivative, summed over the components, (unit/s^k)²: noise, motion lost."""
     passed = low_pass.response(spectrum.frequency)
-    density = passed**2 * spectrum.noise + (1.0 - passed) ** 2 * spectrum.motion
-    return float(np.trapezoid((2.0 * np.pi * spectrum.frequency) ** (2 * derivative) * density, spectrum.frequency))
+    power = (2.0 * np.pi * spectrum.frequency) ** (2 * derivative)
+    noise = float(np.trapezoid(power * passed**2 * spectrum.noise, spectrum.frequency))
+    return noise, float(np.trapezoid(power * (1.0 - passed) ** 2 * spectrum.motion, spectrum.frequency))
 
 
 def best_low_pass(spectrum: Spectrum) -> LowPass:
@@ -188,7 +189,7 @@ def best_low_pass(spectrum: Spectrum) -> LowPass:
     top = 0.45 * float(spectrum.frequency[-1])
     halves = np.geomspace(min(3.0 * float(spectrum.frequency[0]), 0.5 * top), top, 80)
     choices = [LowPass(order, float(half)) for order in ORDERS for half in halves]
-    return min(choices, key=lambda one: risk(spectrum, one, 1) * risk(spectrum, one, 2))
+    return min(choices, key=lambda one: sum(risk(spectrum, one, 1)) * sum(risk(spectrum, one, 2)))
 
 
 def _basis() -> Array:
@@ -202,15 +203,18 @@ def _basis() -> Array:
 
 @dataclass(frozen=True)
 class Curve:
-    """The fitted spline: `coefficients` (c, d), knots every `spacing` s from `begin`; `covariance` is the band of the
-    inverse of the normal matrix, [j, i] for coefficients i and i + j. `scale[k]` turns it into the variance of the k-th
-    derivative, summed over the components. `local`: times (s) and the noise there, relative to its mean over time."""
+    """The fitted spline: `coefficients` (c, d), knots every `spacing` s from `begin`.
+
+    `covariance` is the band of the inverse of the normal matrix, [j, i] for coefficients i and i + j. `scale[k]` turns
+    it into the variance of the k-th derivative by noise and by motion lost, summed over the components. `local`: times
+    (s), and the noise there relative to its mean over time.
+    """
 
     begin: float
     spacing: float
     coefficients: Array
     covariance: Array
-    scale: tuple[float, float, float]
+    scale: tuple[tuple[float, float], ...]
     low_pass: LowPass
     spectrum: Spectrum
     local: tuple[Array, Array] | None = None
@@ -225,8 +229,9 @@ class Curve:
 
     def variance(self, time: Array, derivative: int = 0) -> Array:
         """Variance of it, summed over the components, (n,)."""
-        variance = _spread(self, time, derivative) * self.scale[derivative]
-        return variance if self.local is None else variance * np.interp(time, *self.local)
+        noise, lost = self.scale[derivative]
+        here = 1.0 if self.local is None else np.interp(time, *self.local)
+        return np.asarray(_spread(self, time, derivative) * (noise * here + lost), np.float64)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -271,25 +276,34 @@ def smooth(
     noise: Array | None = None,
     floor: float = 0.0,
     keep: float | None = None,
+    steepest: float = STEEPEST,
 ) -> Curve:
     """The smooth curve through `values` (n, d) at `time` (s, (n,), increasing).
 
     `weight` (n,): time that each sample stands for, mean 1; with it the response is the same everywhere although the
     samples are closer here than there. `noise` (n,): power density of each sample's noise in any unit, where it varies.
     `floor`: noise known beforehand, unit²/Hz over the components. `keep`: frequency (Hz) up to which the response must
-    be 0.99; without it the data decide. Raises BadInput.
+    be 0.99; without it the data decide. `steepest`: the noise falls by this power of frequency at most; 0: it is
+    white. Raises BadInput.
     """
-    spectrum = spectrum_of(time, values, floor)
+    spectrum = spectrum_of(time, values, floor, steepest)
+    highest = 0.8 * float(spectrum.frequency[-1])
+    if keep is not None and not 0.0 < keep < highest:
+        raise BadInput(f"smoother: found {keep:g} Hz to keep, wanted a frequency up to {highest:.3g} Hz")
     low_pass = best_low_pass(spectrum) if keep is None else LowPass.keeping(keep)
     step = float(np.median(np.diff(time)) if weight is None else np.mean(np.diff(time)))
     spacing = max(step, 1.0 / (FINEST * low_pass.half))
     count = math.ceil((time[-1] - time[0]) / spacing) + DEGREE + 1
     begin = float(time[0])
-    normal, right = _normal(time - begin, values, weight, spacing, count)
+    trend = np.polynomial.polynomial.polyfit(time - begin, values, 1)  # taken off and put back: fewer digits are lost
+    levelled = values - np.outer(np.ones_like(time), trend[0]) - np.outer(time - begin, trend[1])
+    normal, right = _normal(time - begin, levelled, weight, spacing, count)
     strength = (spacing / step) * (2.0 * np.pi * low_pass.half * spacing) ** (-2 * low_pass.order)
     matrix = normal + strength * _penalty(count, low_pass.order)
     coefficients, covariance = _solved(matrix, right)
-    bare = Curve(begin, spacing, coefficients, covariance, (1.0, 1.0, 1.0), low_pass, spectrum)
+    # the coefficients of a straight line are its values at the middles of the basis functions
+    coefficients = coefficients + trend[0] + np.outer(spacing * (np.arange(count) - 0.5 * (DEGREE - 1)), trend[1])
+    bare = Curve(begin, spacing, coefficients, covariance, (), low_pass, spectrum)
     local = None if noise is None else _local(time, noise, 1.0 / low_pass.half)
     return replace(bare, scale=_scales(bare, time), local=local)
 
@@ -306,13 +320,12 @@ def _local(time: Array, noise: Array, span: float) -> tuple[Array, Array]:
     return 0.5 * (even[1:] + even[:-1]), np.asarray(averaged / steps.mean(), np.float64)
 
 
-def _scales(curve: Curve, time: Array) -> tuple[float, float, float]:
+def _scales(curve: Curve, time: Array) -> tuple[tuple[float, float], ...]:
     """Factors from the inverse normal matrix to the risk: the typical instant has the risk that the spectrum tells."""
     instants = np.linspace(time[0], time[-1], 2000)
     typical = [float(np.median(_spread(curve, instants, derivative))) for derivative in range(3)]
     risks = [risk(curve.spectrum, curve.low_pass, derivative) for derivative in range(3)]
-    first, second, third = (one / other for one, other in zip(risks, typical, strict=True))
-    return first, second, third
+    return tuple((noise / usual, lost / usual) for (noise, lost), usual in zip(risks, typical, strict=True))
 
 
 def _normal(time: Array, values: Array, weight: Array | None, spacing: float, count: int) -> tuple[Array, Array]:

@@ -125,7 +125,7 @@ def _of_table(part: Tabled, left: Array, counted: NDArray[np.bool_]) -> Iterator
     for row, name in enumerate(part.row_names):
         for domain, mask in part.domains().items():
             one = _group(part.name, part.place, name, domain, table[row, mask], used[row, mask])
-            yield replace(one, allowance=part.allowance)
+            yield replace(one, allowance=part.allowance_of(name, mask))
 
 
 def bands_of(part: Turning) -> dict[str, NDArray[np.bool_]]:

@@ -19,6 +19,7 @@ from rig.estimate.evidence import Evidence
 from rig.estimate.fit import Fit
 from rig.estimate.instruments import Finding
 from rig.estimate.search import Candidate, Score
+from rig.estimate.tabled import Tabled
 from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 
@@ -191,7 +192,16 @@ def _alone(without: Fit, term: Term, shelf: Mapping[str, Effect], memory: search
     """The step that leads from a model without a term to one with it, and what else could be in its place."""
     choices = _choices(without, search.scores(without, search.possible(shelf, without), memory))
     mine = [one for one in choices if one.name == term.effect.name and one.term.on == term.on]
+    mine = mine or [_chosen(without, term)]  # by itself it may be none of those that are worth a refit
     return _taken(without, [*mine, *(one for one in choices if one not in mine)])
+
+
+def _chosen(without: Fit, term: Term) -> Choice:
+    """A term that was decided on, with what it removes."""
+    made = _with_terms(without, [term])
+    gain = without.objective - made.objective
+    merit = gain - chance_of(term) - 2.0 * term.effect.rarity
+    return Choice(made.state.terms[-1], made.u(len(made.state.terms) - 1), gain, merit, 1.0, term.effect.missing, made)
 
 
 def _with_terms(base: Fit, terms: Sequence[Term]) -> Fit:
@@ -236,11 +246,22 @@ def chance(score: Score | Candidate) -> float:
     return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
 
 
-def _merit(one: Candidate) -> float:
+def _merit(current: Fit, one: Candidate) -> float:
     """χ² that it removes, less what chance gives and how unusual it is; nothing makes up for what cannot be."""
     if not search.admissible(one.term, one.u):
         return -math.inf
-    return one.gain - chance(one) - 2.0 * one.term.effect.rarity
+    return one.gain - chance(one) * _unevenness(current, one.fit) - 2.0 * one.term.effect.rarity
+
+
+def _unevenness(before: Fit, after: Fit) -> float:
+    """How many times more than χ² of even noise chance may give, by the parts in which a candidate moves anything."""
+    offsets, change = after.offsets(), before.left - after.left
+    size, found = 0.0, 0.0
+    for part, first, end in zip(after.parts, offsets, offsets[1:], strict=False):
+        weight = float(change[first:end] @ change[first:end])
+        factor = part.unevenness(change[first:end], after.left[first:end]) if isinstance(part, Tabled) else 1.0
+        size, found = size + weight, found + weight * factor
+    return found / size if size > 0.0 else 1.0
 
 
 def chance_of(term: Term) -> float:
@@ -253,7 +274,7 @@ def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS) -> list[
     top = max((score.gain for score in scored), default=0.0)
     least = max(0.5 * CHANCE, 0.02 * top)
     refits = search.best(current, scored, most, least)
-    merits = [_merit(one) for one in refits]
+    merits = [_merit(current, one) for one in refits]
     highest = max([*merits, 0.0])
     weights = [math.exp(0.5 * (merit - highest)) for merit in merits]
     total = sum(weights) + math.exp(-0.5 * highest)

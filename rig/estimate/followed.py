@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.encoder_angle import AngleTrack, encoder_track
+from rig.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.errors import BadInput
 from rig.estimate.following import FollowRecords, spun_force
 from rig.estimate.turning import Shown
@@ -21,7 +21,8 @@ from rig.pose_track import PoseTrack, pose_track
 
 PIECE = 10.0  # s of a stretch
 SAMPLES = 4.0  # per period of the highest frequency compared
-TAPS = 8  # of the low-pass before thinning, per instant kept
+TAPS = 24  # of the low-pass before thinning, per instant kept
+BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
 SHORTEST = 4.0  # s of a record between gaps that is worth comparing
 EDGE = 8  # instants at either end of a record that are not compared
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
@@ -65,25 +66,25 @@ def _turned(foreign: Foreign, table: Table) -> AngleTrack:
     if not columns:
         return _counted(foreign, table)
     u = foreign.u(table, columns[0])
-    return encoder_track(
+    return encoder_track(  # jitter of stamps is in the incoherent part: weights for it would bend the response
         foreign.time(table), foreign.si(table, columns[0]), u_angle=0.0 if u is None else float(u[0]),
-        keep=made.compared.rate_band,  # no weights for jitter: those that go with the rate would bend the response
+        keep=_keep(foreign),
     )  # fmt: skip
 
 
 def _counted(foreign: Foreign, table: Table) -> AngleTrack:
     """From the sampled lines of an encoder."""
-    from rig.encoder_angle import angle_of_lines
-
-    made, lines = foreign.manifest, []
+    made, signals = foreign.manifest, {}
     for quantity in ("line_a", "line_b", "index_line"):
         found = made.of("reference", quantity)
-        lines.append(foreign.si(table, found[0]) if found else None)
-    assert made.rotation is not None
-    assert made.rotation.lines is not None
-    time = foreign.time(table)
-    angle = angle_of_lines(time, lines[0], lines[1], lines[2], lines=made.rotation.lines)
-    return encoder_track(time, angle, keep=made.compared.rate_band)
+        if found:
+            signals[quantity] = foreign.si(table, found[0])
+    if made.rotation is None or made.rotation.lines is None or "line_b" not in signals:
+        raise BadInput(f"{foreign.run}: found no line_b or no lines per revolution, wanted both for a sampled encoder")
+    return quadrature_track(
+        foreign.time(table), signals["line_a"], signals["line_b"], signals.get("index_line"),
+        lines=made.rotation.lines, keep=_keep(foreign),
+    )  # fmt: skip
 
 
 def _posed(foreign: Foreign, table: Table) -> PoseTrack:
@@ -93,11 +94,10 @@ def _posed(foreign: Foreign, table: Table) -> PoseTrack:
     quaternion: dict[str | None, Array] = {
         one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
     }
-    band = max((b for b in (made.compared.rate_band, made.compared.force_band) if b), default=None)
     return pose_track(
         foreign.time(table), np.stack([position[a] for a in AXES], axis=1),
         np.stack([quaternion[c] for c in "wxyz"], axis=1), convention=made.pose.quaternion, up=made.pose.up,
-        gravity=made.gravity.value, keep=band,
+        gravity=made.gravity.value, keep=_keep(foreign),
     )  # fmt: skip
 
 
@@ -248,10 +248,16 @@ def _gravity(data: FollowRecords, axis: int, angle: Array, upright: bool) -> tup
 
 
 def _bands(foreign: Foreign, track: AngleTrack | PoseTrack) -> tuple[float, float]:
-    """Of rates and of forces, Hz: as stated, else where the track is trustworthy."""
-    stated, own = foreign.manifest.compared, track.bandwidth
-    trusted = own if isinstance(own, tuple) else (own, own)
-    return stated.rate_band or trusted[0], stated.force_band or trusted[1]
+    """Of rates and of forces, Hz: as stated, else to where the track keeps the motion."""
+    stated, own = foreign.manifest.compared, track.kept
+    kept = own if isinstance(own, tuple) else (own, own)
+    return stated.rate_band or kept[0], stated.force_band or kept[1]
+
+
+def _keep(foreign: Foreign) -> float | None:
+    """To where the reference must keep the motion, Hz: well above a stated band, within which it must not bend."""
+    stated = [b for b in (foreign.manifest.compared.rate_band, foreign.manifest.compared.force_band) if b is not None]
+    return BEYOND * max(stated) if stated else None
 
 
 def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:

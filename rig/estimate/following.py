@@ -97,7 +97,8 @@ class Following(Tabled):
         found = []
         for begin, end in self.data.stretches:
             step = 1.0 / (2.0 * (end - begin) * self.data.interval)
-            found.append(np.arange(min(end - begin, math.floor(max(self.data.bands) / step) + 1)) * step)
+            count = min(end - begin, math.floor(max(self.data.bands) / step) + 1)
+            found.append(np.asarray(np.arange(count) * step, np.float64))
         return found
 
     @cached_property
@@ -167,11 +168,17 @@ class Following(Tabled):
     @cached_property
     def variance(self) -> Array:
         """Of every channel's lines, V², (c, width): smooth density of the incoherent part."""
-        lines = self.lines(self.data.observed)
-        return np.array([self._incoherent(lines[c], bool(rate)) for c, rate in enumerate(self.channels.rates)])
+        return np.array([found for found, _ in self._noises])
 
-    def _incoherent(self, target: Array, of_rate: bool) -> Array:
-        """Variance of the lines of one channel that no linear filter of the reference explains, (width,)."""
+    @cached_property
+    def _noises(self) -> list[tuple[Array, Array]]:
+        lines = self.lines(self.data.observed)
+        return [self._incoherent(lines[c], bool(rate)) for c, rate in enumerate(self.channels.rates)]
+
+    def _incoherent(self, target: Array, of_rate: bool) -> tuple[Array, Array]:
+        """Variance of the lines of one channel that no linear filter of the reference explains, and the freedom that
+        the filter left to each line; both (width,).
+        """
         f = self.frequency_of
         here = (f <= self.data.bands[0 if of_rate else 1]) & (f > 0.0)
         columns = self._filters(of_rate)[:, here].T
@@ -181,9 +188,11 @@ class Following(Tabled):
             basis = _orthonormal(columns * weight[:, None])
             aim = target[here] * weight
             left = (aim - basis @ (basis.T @ aim)) / weight
-            density = _smooth(f[here], left**2, 1.0 - np.sum(basis**2, axis=1))
+            freedom = np.zeros(len(f))
+            freedom[here] = 1.0 - np.sum(basis**2, axis=1)
+            density = _smooth(f[here], left**2, freedom[here])
         found = np.interp(f, *_sorted(f[here], density))
-        return np.asarray(np.where(f > 0.0, found, found.max()))
+        return np.asarray(np.where(f > 0.0, found, found.max())), freedom
 
     @cached_property
     def _rates_filters(self) -> Array:
@@ -247,6 +256,30 @@ class Following(Tabled):
     def allowance(self) -> float:
         """The density of a few lines is not known better."""
         return ALLOWANCE
+
+    def allowance_of(self, name: str, mask: Mask) -> float:
+        """Where the filter left little freedom the density is known worse."""
+        freedom = float(self._noises[self.row_names.index(name)][1][mask].sum())
+        return math.hypot(ALLOWANCE, math.sqrt(2.0 / max(freedom, 1.0)))
+
+    def unevenness(self, change: Array, left: Array) -> float:
+        """Of noise that is louder while the motion is: Σd²l² over instants against Σd² times the mean of l² (the
+        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time.
+        """
+        moved, rest = self._in_time(change), self._in_time(left)
+        mean = np.mean(rest**2, axis=1, keepdims=True)
+        even = float(np.sum(moved**2 * mean))
+        return max(1.0, float(np.sum(moved**2 * rest**2)) / even) if even > 0.0 else 1.0
+
+    def _in_time(self, rows: Array) -> Array:
+        """Rows as signals, (c, n), each stretch from its own lines."""
+        from scipy.fft import idct
+
+        table, found, at = rows.reshape(len(self.row_names), -1), [], 0
+        for (begin, end), f in zip(self.data.stretches, self._frequencies, strict=True):
+            found.append(idct(table[:, at : at + len(f)], type=2, n=end - begin, norm="ortho", axis=1))
+            at += len(f)
+        return np.concatenate(found, axis=1)
 
     def noise(self) -> Array:
         return np.asarray(self.variance / self.channels.sensitivity[:, None] ** 2)

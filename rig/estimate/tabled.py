@@ -102,6 +102,16 @@ class Tabled(ABC):
         """Relative uncertainty of the variances that the rows are weighed with."""
         return 0.06
 
+    def allowance_of(self, name: str, mask: Mask) -> float:
+        """The same for some rows of a name, mask (width,)."""
+        return self.allowance
+
+    def unevenness(self, change: Array, left: Array) -> float:
+        """How many times more the χ² that one effect removes scatters by chance, because noise is not the same
+        throughout. `change` (rows,) is what the effect moves, `left` (rows,) what is left over with it.
+        """
+        return 1.0
+
     def errors(self, left: Array) -> Array:
         """Sum of squares of what is left over in every name's rows, referred to the input, SI², (names,)."""
         squares = np.where(self.counted, left, 0.0).reshape(len(self.row_names), -1) ** 2

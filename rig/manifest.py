@@ -84,13 +84,15 @@ class Reading(Strict):
     """How the files are to be read; left out, it is told from their names' endings.
 
     CSV: `delimiter`, lines beginning with `comment` are skipped, `header` false if no line names the columns (they are
-    then "1", "2", …). NPY, NPZ, MAT and HDF5: columns are named `variable` or `variable[3]` (from 0).
+    then "1", "2", …); a `delimiter` of one blank means any run of blanks. `decimal` is the sign before the decimals.
+    NPY, NPZ, MAT and HDF5: columns are named `variable` or `variable[3]` (from 0).
     """
 
     format: Literal["csv", "npy", "npz", "mat", "hdf5"] | None = None
-    delimiter: str = ","
+    delimiter: str = Field(default=",", min_length=1, max_length=1)
     comment: str = "#"
     header: bool = True
+    decimal: Literal[".", ","] = "."
 
 
 class TimeBase(Strict):
@@ -265,6 +267,10 @@ def mistakes(document: Document, made: Manifest) -> Iterator[Problem]:
     """What the types cannot say."""
     yield from _of_columns(document, made)
     yield from _of_kind(document, made)
+    if made.reading.decimal == made.reading.delimiter:
+        yield document.problem(
+            ("reading",), "found the comma as delimiter and as decimal sign, wanted another delimiter"
+        )
     if made.time is not None:
         given = [made.time.column is not None, made.time.rate is not None, made.time.interval is not None]
         if sum(given) != 1:

@@ -9,14 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rig import imported_figures
 from rig.estimate.adequacy import domains
 from rig.estimate.evidence import Evidence
 from rig.estimate.fit import Fit
+from rig.estimate.following import Following
 from rig.estimate.misfit import Condition, conditions
 from rig.estimate.misfit_cells import STEADY, family_of, tables, turned
+from rig.estimate.posed import Posed
+from rig.estimate.responding import Responding
 from rig.estimate.sines import Sines, split
+from rig.estimate.tabled import Mask
 from rig.estimate.turning import Turning
 from rig.figures import COLOURS
+from rig.misfit_frame import APART, BAND, legend, new, plain, title
 from rig.model import Local
 from rig.motion import Array
 from rig.units import STANDARD_GRAVITY
@@ -31,11 +37,10 @@ ORDERS = 6.0  # of the spectrum
 ORDER_BIN = 0.1
 MOST = 4  # channels in a turntable figure
 NOISY = 4.0  # times the noise of the best channel
-BAND = "#e6e6e6"
 
 
 def draw(evidence: Evidence, fit: Fit, folder: Path) -> list[Path]:
-    """One figure for every mounting on the shaker and every turntable run, SVG and PNG; the paths, in `folder`."""
+    """One figure for every part of a fit, all tables of responses in one, SVG and PNG; the paths, in `folder`."""
     worst = conditions(fit, tables(fit))
     figures: dict[str, Figure] = {}
     for number, part in enumerate(fit.parts):
@@ -44,6 +49,16 @@ def draw(evidence: Evidence, fit: Fit, folder: Path) -> list[Path]:
             figures[_named("misfit_shaker", figures)] = shaker(fit, number, part, mine)
         elif isinstance(part, Turning):
             figures[_named("misfit_turntable", figures)] = turntable(fit, number, part, mine)
+        elif isinstance(part, Following):
+            stem = "misfit_rotation" if part.place == "rotation" else "misfit_motion"
+            figures[_named(stem, figures)] = imported_figures.following(fit, number, part, mine)
+        elif isinstance(part, Posed):
+            figures[_named("misfit_poses", figures)] = imported_figures.poses(fit, number, part, mine)
+    tables_ = [k for k, part in enumerate(fit.parts) if isinstance(part, Responding)]
+    if tables_:
+        there = {fit.parts[k].place for k in tables_}
+        mine = [one for one in worst if one.experiment in there]
+        figures["misfit_response"] = imported_figures.response(fit, tables_, mine)
     return _saved(figures, folder, evidence.simulated)
 
 
@@ -52,12 +67,23 @@ def _named(stem: str, there: dict[str, Figure]) -> str:
     return f"{stem}_{count + 1}" if count else stem
 
 
+def _laid_out(figure: Figure) -> None:
+    """Once for both files: most of the time of a drawing is its layout."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+    figure.set_layout_engine("none")
+
+
 def _saved(figures: dict[str, Figure], folder: Path, simulated: bool) -> list[Path]:
     from matplotlib import rc_context
 
     paths = []
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in figures.items():
+        _laid_out(figure)
         if simulated:
             figure.text(0.995, 0.005, "SIMULATED", ha="right", va="bottom", color="#b00020", fontsize=9, weight="bold")
         for kind in ("svg", "png"):
@@ -66,27 +92,6 @@ def _saved(figures: dict[str, Figure], folder: Path, simulated: bool) -> list[Pa
                 figure.savefig(path, dpi=120, metadata={"Date": None} if kind == "svg" else None)
             paths.append(path)
     return paths
-
-
-def _new(rows: int, columns: int, size: tuple[float, float], title: str, **shared: Any) -> tuple[Figure, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, **shared)
-    figure.suptitle(title, fontsize=10)
-    for ax in axes.flat:
-        ax.grid(True, which="major", color="#dddddd", linewidth=0.6)
-        ax.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _title(name: str, worst: Sequence[Condition]) -> str:
-    """The worst condition in words, in lines that fit; without one that stands out, that nothing does."""
-    import textwrap
-
-    said = worst[0].in_words if worst and worst[0].stands_out else "nothing stands out of the noise"
-    ratio = f" ({worst[0].ratio:.3g} times the noise)" if worst and worst[0].stands_out else ""
-    return "\n".join([f"{name}: what the model leaves over", *textwrap.wrap(said + ratio, 108)])
 
 
 # the shaker
@@ -98,8 +103,8 @@ def shaker(fit: Fit, number: int, part: Sines, worst: Sequence[Condition]) -> Fi
     Left in units of the noise, right in per cent, degrees and mm/s². Channels along the drive; others in the last row
     if they stand out there.
     """
-    title = _title(f"{part.name.split('#')[0]}, {part.data.axis} driven", worst)
-    figure, axes = _new(3, 2, (10.0, 8.4), title, sharex=True)
+    heading = title(f"{part.name.split('#')[0]}, {part.data.axis} driven", worst)
+    figure, axes = new(3, 2, (10.0, 8.4), heading, sharex=True)
     left = fit.left[fit.offsets()[number] :][: part.rows]
     driven = turned(fit, part, number, left)[..., 0]
     physical = _relative(fit, number, part)
@@ -164,7 +169,21 @@ def _other(
     axes[0].set_ylabel(f"{name} ÷ noise" if signed else f"size of {name} ÷ noise")
     axes[1].set_ylabel(f"{name} / ({units})" if signed else f"size of {name} / ({units})")
     if list(rows) != list(along):
-        _legend(axes[0], 3)
+        legend(axes[0], 3)
+
+
+def _of_level(part: Sines) -> bool:
+    """Whether what differs between the records is the level and not the frequency."""
+    f = part.data.frequency[part.data.index >= 0]
+    return bool(np.ptp(f) < STEADY * f.max() and len(f) > 2)
+
+
+def _series(part: Sines) -> list[tuple[str, Mask, Array]]:
+    """Points that a line joins: the level's name, which records, and where they stand along the axis, (p,)."""
+    if _of_level(part):
+        return [("", part.data.index >= 0, np.abs(part.data.shown[:, 1]))]
+    levels = np.array(part.data.level)
+    return [(level, levels == level, part.data.frequency) for level in _levels(part)]
 
 
 def _levels(part: Sines) -> list[str]:
@@ -176,23 +195,16 @@ def _levels(part: Sines) -> list[str]:
     return sorted(size, key=lambda level: -size[level])
 
 
-def _legend(ax: Any, columns: int) -> None:
-    """Above the axes, clear of the data."""
-    ax.legend(fontsize=8, ncols=columns, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 0.98), borderaxespad=0.0)
-
-
 def _points(ax: Any, part: Sines, values: Array, rows: Sequence[int], *, signed: bool = True) -> None:
-    data = part.data
-    levels = _levels(part)
     for row in rows:
         name = part.channels.names[row]
-        for k, level in enumerate(levels):
-            mine = np.array([one == level for one in data.level]) & data.usable[row]
-            order = np.argsort(data.frequency[mine], kind="stable")
+        for k, (_, some, at) in enumerate(_series(part)):
+            mine = some & part.data.usable[row]
+            order = np.argsort(at[mine], kind="stable")
             style = {"color": _colour(part.channels.names, rows, row), "linewidth": 0.7, "alpha": 0.9}
             style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 4.5, "linestyle": "-" if k == 0 else ":"}
             label = name if k == 0 else None
-            ax.plot(data.frequency[mine][order], values[row][mine][order], label=label, fillstyle="none", **style)
+            ax.plot(at[mine][order], values[row][mine][order], label=label, fillstyle="none", **style)
     if signed:
         ax.axhline(0.0, color="#888888", linewidth=0.7)
 
@@ -203,13 +215,11 @@ def _colour(names: Sequence[str], rows: Sequence[int], row: int) -> Any:
 
     family = family_of(names[row])
     before = [one for one in rows if family_of(names[one]) == family].index(row)
-    base = np.array(to_rgb(COLOURS[family]))
+    base = np.array(to_rgb(COLOURS.get(family, APART[list(names).index(names[row]) % len(APART)])))
     return tuple((base + (1.0 - base) * 0.3 * before).clip(0.0, 1.0).tolist())
 
 
 def _dressed(axes: Any, part: Sines, noisy: Sequence[str]) -> None:
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
     for ax in axes[:, 0]:
         ax.axhspan(-2.0 if ax.get_ylim()[0] < -0.5 else 0.0, 2.0, color=BAND, zorder=0)
     axes[0, 0].set_ylabel("magnitude ÷ noise")
@@ -217,19 +227,26 @@ def _dressed(axes: Any, part: Sines, noisy: Sequence[str]) -> None:
     axes[0, 1].set_ylabel("magnitude / %")
     axes[1, 1].set_ylabel("phase / °")
     for ax in axes[2]:
-        ax.set(xscale="log", xlabel="frequency / Hz")
-        ax.xaxis.set_major_locator(FixedLocator([10, 20, 50, 100, 200, 500, 1000]))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.xaxis.set_minor_locator(NullLocator())
-    _legend(axes[0, 0], 4)
+        _along_axis(ax, part)
+    legend(axes[0, 0], 4)
     for line in axes[0, 1].get_lines():
         line.set_label(None)
-    for k, level in enumerate(_levels(part)):
+    for k, level in enumerate([] if _of_level(part) else _levels(part)):
         style = {"marker": MARKERS[k % len(MARKERS)], "linestyle": "-" if k == 0 else ":", "color": "#555555"}
         axes[0, 1].plot([], [], fillstyle="none", markersize=4.5, linewidth=0.7, label=f"{level} level", **style)
     if noisy:
         axes[0, 1].plot([], [], " ", label=f"not shown: {', '.join(noisy)} (noisier)")
-    _legend(axes[0, 1], 4)
+    if axes[0, 1].get_legend_handles_labels()[0]:
+        legend(axes[0, 1], 4)
+
+
+def _along_axis(ax: Any, part: Sines) -> None:
+    if _of_level(part):
+        f = float(np.median(part.data.frequency[part.data.index >= 0]))
+        ax.set(xlabel=f"amplitude of the reference at {f:.3g} Hz / (m/s²)", xlim=(0.0, None))
+    else:
+        ax.set(xscale="log", xlabel="frequency / Hz")
+        plain(ax.xaxis)
 
 
 # the turntable
@@ -237,7 +254,7 @@ def _dressed(axes: Any, part: Sines, noisy: Sequence[str]) -> None:
 
 def turntable(fit: Fit, number: int, part: Turning, worst: Sequence[Condition]) -> Figure:
     """Gyros on the axis, and what stands out, over time, over a revolution, and by order per revolution."""
-    figure, axes = _new(3, 1, (10.0, 9.0), _title(part.name.split("#")[0], worst))
+    figure, axes = new(3, 1, (10.0, 9.0), title(part.name.split("#")[0], worst))
     time, angle, orders = axes[:, 0]
     local = _local(fit, number)
     left = (part.data.observed - part.raw(local, fit.state.terms)) / local.sensitivity[:, None]
@@ -252,7 +269,7 @@ def turntable(fit: Fit, number: int, part: Turning, worst: Sequence[Condition]) 
         ax.axhspan(-2.0, 2.0, color=BAND, zorder=0)
         ax.axhline(0.0, color="#888888", linewidth=0.7)
     time.set(ylabel=f"mean of {SECONDS:g} s ÷ noise", xlabel="time since the run began / s")
-    _legend(time, 4)
+    legend(time, 4)
     angle.set(
         ylabel=f"mean of {360 // BINS}° ÷ noise",
         xlabel="platter angle from the index / ° (solid: upright, dashed: inverted)",

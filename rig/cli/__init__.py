@@ -6,6 +6,7 @@ Commands are imported when they are called, so that `rig --help` stays as quick 
 from __future__ import annotations
 
 import importlib
+import keyword
 import os
 import sys
 from typing import NoReturn
@@ -28,6 +29,7 @@ COMMANDS = {
     "export": ("calibration", "Write a calibration for robots and other programs."),
     "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
     "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
+    "import": ("importing", "Make a run out of other people's measurements."),
     "compare": ("repair", "Error against noise, and where a model fails."),
     "diagnose": ("repair", "Which effect is missing in a model, and why."),
     "add": ("repair", "Add an effect to a model and refit."),
@@ -54,7 +56,9 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"rig.cli.{COMMANDS[cmd_name][0]}")
-        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
+        name = cmd_name.replace("-", "_")
+        # `import` is a word of the language's own
+        command: click.Command = getattr(module, f"{name}_" if keyword.iskeyword(name) else name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

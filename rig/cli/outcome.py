@@ -80,9 +80,28 @@ def _print_ending(done: Outcome, figure: list[Path], run: Run) -> None:
 
 def run_as_text(run: Run) -> str:
     """A run for a reader: what it is, how far it came, its table."""
+    from rig.foreign import is_foreign
     from rig.records import Records
 
-    return "\n".join(_run_lines(run, *concluded(Records(run))))
+    records = Records(run)
+    if is_foreign(records):
+        return "\n".join(_imported_lines(records))
+    return "\n".join(_run_lines(run, *concluded(records)))
+
+
+def _imported_lines(records: Records) -> list[str]:
+    """An imported run: its files, what was found on import, and where the data come from."""
+    from rig.foreign import foreign_of
+
+    data = foreign_of(records)
+    made, summary = data.manifest, records.run.summary()
+    files = f"{summary['points_done']} of {summary['points_total']} files"
+    lines = [f"run {records.name}", f"  {records.header['title']}: {summary['status']}, {files}"]
+    lines += [f"  from {made.provenance.source}, {made.provenance.licence}"]
+    lines += [f"  {t.label}: {len(t.values)} rows{', held out' if t.held_out else ''}" for t in data.tables]
+    lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
+    lines += [f"  found on import: {text}" for text in data.found]
+    return [*lines, f"next: rig compare {records.name}"]
 
 
 def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:

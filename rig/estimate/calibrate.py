@@ -25,6 +25,7 @@ from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source,
 from rig.estimate.resting import Resting
 from rig.estimate.rotating import Rotation, rotation_of
 from rig.estimate.verdict import verdict
+from rig.foreign import is_foreign
 from rig.noise import coefficients
 from rig.records import Recorded, mounts, reference, signals
 from rig.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
@@ -98,6 +99,8 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
     """
+    if foreign := [run.name for run in runs if is_foreign(run)]:
+        raise BadInput(f"{foreign[0]}: found imported data, wanted runs of a bench (an imported unit: rig fit)")
     header = _common_header(runs)
     sensors = sensors_of(header)
     poles = {name: sensor.bandwidth for name, sensor in sensors.items()}

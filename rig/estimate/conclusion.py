@@ -66,6 +66,8 @@ class Candidate:
             "plausible": self.plausible,
             "because": self.because,
             "separate_by": self.separate_by,
+            "step": self.step,
+            "taken": self.taken,
         }
 
 

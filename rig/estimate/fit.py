@@ -22,6 +22,7 @@ from rig.motion import Array, Motion
 
 POLE_TOLERANCE = 0.1  # of the logarithm: what a data sheet's bandwidth is good for
 STEP = 1e-4  # relative, of sensitivities and poles; V, of zeros
+STRAIGHT = 0.02  # of a coordinate's step: what is left of the bend does not tell a delay from another delay
 ENOUGH = 1e-3  # of χ²: a step that changes it by less is the last
 ITERATIONS = 12
 HALVINGS = 5
@@ -433,9 +434,10 @@ def term_columns(
     columns = []
     for coordinate in term.effect.coordinates:
         if not coordinate.searched:
-            nearby = term.moved(**{coordinate.name: term.at[coordinate.name] + coordinate.step})
+            step = coordinate.step * (1.0 if term.effect.kinked else STRAIGHT)
+            nearby = term.moved(**{coordinate.name: term.at[coordinate.name] + step})
             change = np.zeros_like(base)
             where = slice(None) if only is None else only
-            change[where] = (part.raw(local, [*others, nearby], only) - base[where]) / coordinate.step
+            change[where] = (part.raw(local, [*others, nearby], only) - base[where]) / step
             columns.append(part.whitened(change))
     return np.stack(columns, axis=1) if columns else np.zeros((part.rows, 0))

@@ -324,7 +324,7 @@ def in_words(ordered: Sequence[Law]) -> str:
     """The best law, with those that the data hardly tell from it; "" if none removes enough to be worth saying."""
     if not ordered or ordered[0].gain < CLEAR:
         return ""
-    alike = [law.words for law in ordered if law.gain > ordered[0].gain - ALIKE][:MOST_ALIKE]
+    alike = [law.words for law in ordered if law.gain >= ordered[0].gain - ALIKE][:MOST_ALIKE]
     common = ", ".join(alike[0].split(", ")[:-1])
     if len(alike) == MOST_ALIKE and not alike[0].startswith("follows "):  # hardly anything is excluded
         return common if all(words.startswith(f"{common}, ") for words in alike) else ""

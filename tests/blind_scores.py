@@ -88,10 +88,10 @@ def share(good: int, of: int) -> str:
     return f"{good}/{of} = {100 * good / of:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
 
 
-def trials(folder: Path) -> list[Trial]:
+def trials(folder: Path, kept: str = "results") -> list[Trial]:
     """All results with their answers. Raises ValueError if an answer is not the one that was sealed."""
     found = []
-    for path in sorted((folder / "results").glob("*.json")):
+    for path in sorted((folder / kept).glob("*.json")):
         result = json.loads(path.read_text(encoding="utf-8"))
         answer, digest = unsealed(folder / "answers" / path.name)
         if digest != result["sealed"]:
@@ -226,27 +226,3 @@ def by_effect(found: Sequence[Trial]) -> list[tuple[str, str, str, str, str]]:
         exact, held = (sum(flags) for flags in zip(*((t.exact, t.in_first_class) for t in here), strict=True))
         made.append((bench, name, f"{exact}/{len(here)}", f"{held}/{len(here)}", said))
     return made
-
-
-def markdown(found: Sequence[Trial], peers: Sequence[tuple[str, ...]] = ()) -> str:
-    """All tables as a page."""
-    lines = [
-        "# Blind test",
-        "",
-        "Worlds come from the simulated bench, clean but for what is hidden; answers are sealed before the records",
-        "are diagnosed. Intervals are Clopper and Pearson's, 95 %. On a fresh run only each channel's zero",
-        "was adjusted, and what counts from a run's own beginning (the phase of the mains, the rest of a warm-up).",
-        "Held-out χ² is compared with what the true effect leaves in the same rows; one sigma is √(2·rows).",
-        "",
-        *_table(("what", "found", "bar"), [(row.what, row.found, row.bar) for row in rows(found)]),
-    ]
-    if effects := by_effect(found):
-        lines += ["", "## By effect", "", *_table(("bench", "effect", "exact", "in the class", "instead"), effects)]
-    if peers:
-        lines += ["", "## Against other methods", "", *_table(peers[0], peers[1:])]
-    return "\n".join(lines) + "\n"
-
-
-def _table(head: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
-    made = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-    return made + [f"| {' | '.join(row)} |" for row in body]

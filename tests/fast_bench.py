@@ -30,7 +30,7 @@ from rig import journal
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
-from rig.errors import OperatorRefused
+from rig.errors import ConfigError, OperatorRefused
 from rig.journal import BlockRef, Entry
 from rig.record import Channel, Identity, Response, Samples, Timing, Traces
 from rig.records import Signals
@@ -380,6 +380,10 @@ class MemoryRecords:
         clipped = dict(zip(meta["names"], meta["clipped"], strict=True))
         return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
 
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Imported rows behind a block's name and their columns. KeyError if there are none, as on this bench."""
+        return self.block(name), tuple(self.metas[name]["columns"])
+
     def close(self) -> None:
         """Drop the arrays; header, lines and points stay."""
         self.arrays.clear()
@@ -480,7 +484,7 @@ def measure(document: Mapping[str, Any] | str, world: World, *, bench: Path = BE
     Raises ConfigError for mistakes in the procedure, and what the steps raise, VerdictNotMet among them.
     """
     if not isinstance(document, str):
-        document = yaml.safe_dump(dict(document), allow_unicode=True, sort_keys=False)
+        document = _text(document)
     order = _ordered(document, bench)
     made = _bench(order, world)
     name, procedure = f"seed-{world.seed}-{order.plan.procedure}", order.plan.procedure
@@ -489,6 +493,19 @@ def measure(document: Mapping[str, Any] | str, world: World, *, bench: Path = BE
     carrying = runner._Carrying(order, made, NoGuard(), writer)  # type: ignore[arg-type]
     carrying.carry_out(done=frozenset())
     return writer.records
+
+
+def accepts(document: Mapping[str, Any], *, bench: Path = BENCH) -> bool:
+    """Whether the bench would carry this procedure out: its plan keeps all limits."""
+    try:
+        _ordered(_text(document), bench)
+    except ConfigError:
+        return False
+    return True
+
+
+def _text(document: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(dict(document), allow_unicode=True, sort_keys=False)
 
 
 def _bench(order: runner.Order, world: World) -> Bench:

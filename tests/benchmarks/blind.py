@@ -1,9 +1,11 @@
 """The blind test: hide an effect in a simulated world, seal the answer, diagnose the records, then score.
 
-    python tests/benchmarks/blind.py --worlds 30 --out blind [--only one] [--peers]
+    python tests/benchmarks/blind.py --worlds 30 --out blind [--only one] [--only next] [--wire 20] [--peers]
 
 `--worlds` is the number of worlds for each effect that is scored by name; the other tables keep their proportion to it
-(30 makes the whole study). A study that was interrupted goes on where it was: worlds with a result are not done again.
+(30 makes the whole study). `next` looks again at worlds of `one` that were not exact, after one more measurement;
+`wire` does everything by the commands that a user has, over sockets. A study that was interrupted goes on where it was:
+worlds with a result are not done again.
 Answers, results and the page with the tables are in the folder. Every world uses one thread, all cores are used.
 """
 
@@ -23,17 +25,23 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import blind_next
+import blind_page
 import blind_peers
 import blind_scores
 import blind_trials
+import blind_wire
 import blind_worlds
-from blind_worlds import Case
+from blind_worlds import Answer, Case
 
 import rig
 
+EVERYTHING = (*blind_worlds.TABLES, "next", "wire")
+Placed = TypeVar("Placed", Case, Answer)
 SLOWEST_FIRST = ("turntable", "shaker")
 ENGINE = ("estimate/*.py", "effects/*.py", "model.py", "motion.py")
 
@@ -43,19 +51,20 @@ def main() -> int:
     asked = _asked()
     if asked.slice:
         return _sliced(Path(asked.slice))
-    folder, tables = Path(asked.out), asked.only or list(blind_worlds.TABLES)
-    cases = blind_worlds.cases(asked.worlds, tables, asked.series)
+    folder, wanted = Path(asked.out), asked.only or EVERYTHING
     if asked.peers and not blind_peers.pysindy_there():
         print("found no pysindy, wanted it for --peers; next: make blind PEERS=1, which installs it")
         return 2
     _note_engine(folder)
-    missing = [case for case in cases if not (folder / "results" / f"{case.id}.json").exists()]
-    _carried_out(partial(blind_trials.trial, folder=folder), missing, asked.processes, "diagnosed")
+    cases = blind_worlds.cases(asked.worlds, [one for one in wanted if one in blind_worlds.TABLES], asked.series)
+    _diagnosed(cases, folder, asked)
+    if "next" in wanted:
+        _measured_again(folder, asked)
+    if "wire" in wanted:
+        _over_the_wire(folder, asked)
     if asked.peers:
-        compared = [case for case in cases if case.table in ("clean", "one")]
-        compared = [case for case in compared if not (folder / "peers" / f"{case.id}.json").exists()]
-        _carried_out(partial(blind_peers.compared, folder=folder), compared, asked.processes, "shown to the peers")
-    page = _page(folder)
+        _shown_to_peers(cases, folder, asked)
+    page = _page(folder, _made_by(asked))
     written = Path(asked.page) if asked.page else folder / "table.md"
     written.write_text(page, encoding="utf-8")
     print(page)
@@ -63,11 +72,42 @@ def main() -> int:
     return 0
 
 
+def _diagnosed(cases: Sequence[Case], folder: Path, asked: argparse.Namespace) -> None:
+    missing = [case for case in cases if not (folder / "results" / f"{case.id}.json").exists()]
+    _carried_out(partial(blind_trials.trial, folder=folder), _slow_first(missing), asked.processes, "diagnosed")
+
+
+def _measured_again(folder: Path, asked: argparse.Namespace) -> None:
+    chosen = blind_next.chosen(blind_scores.trials(folder), asked.worlds)
+    missing = [one for one in chosen if not (folder / blind_next.FOLDER / f"{one.id}.json").exists()]
+    _carried_out(partial(blind_next.again, folder=folder), _slow_first(missing), asked.processes, "measured again")
+
+
+def _over_the_wire(folder: Path, asked: argparse.Namespace) -> None:
+    count = blind_wire.count(asked.worlds) if asked.wire is None else asked.wire
+    missing = [n for n in blind_wire.seeds(count, asked.series) if not blind_wire.place(n, folder).exists()]
+    _carried_out(partial(blind_wire.tried, folder=folder), missing, asked.processes, "done over the wire")
+
+
+def _shown_to_peers(cases: Sequence[Case], folder: Path, asked: argparse.Namespace) -> None:
+    compared = [case for case in cases if case.table in ("clean", "one")]
+    missing = [case for case in compared if not (folder / "peers" / f"{case.id}.json").exists()]
+    _carried_out(partial(blind_peers.compared, folder=folder), _slow_first(missing), asked.processes, "shown to peers")
+
+
+def _made_by(asked: argparse.Namespace) -> str:
+    """The command that makes this study again."""
+    only = f' ONLY="{" ".join(asked.only)}"' if asked.only else ""
+    wire = "" if asked.wire is None else f" WIRE={asked.wire}"
+    return f"make blind N={asked.worlds}{only}{wire}{' PEERS=1' if asked.peers else ''}"
+
+
 def _asked() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=30, metavar="N", help="worlds for each effect by name (30)")
     parser.add_argument("--out", default="runs/blind", metavar="FOLDER", help="where answers and results are kept")
-    parser.add_argument("--only", action="append", choices=blind_worlds.TABLES, help="one table; may be repeated")
+    parser.add_argument("--only", action="append", choices=EVERYTHING, help="one table; may be repeated")
+    parser.add_argument("--wire", type=int, metavar="W", help="worlds over the wire (two thirds of N, at least 2)")
     parser.add_argument("--peers", action="store_true", help="also pysindy, lasso and forward selection")
     parser.add_argument("--page", metavar="FILE", help="where the tables are written (table.md in the folder)")
     parser.add_argument("--series", default="1", help="another name draws other worlds")
@@ -83,19 +123,22 @@ def _sliced(path: Path) -> int:
     return 0
 
 
-def _carried_out(work: Callable[[Case], object], cases: Sequence[Case], processes: int, done: str) -> None:
-    """Do the work for all cases on all cores, the slow bench first, and say from time to time how far it is."""
-    if not cases:
+def _slow_first(items: Sequence[Placed]) -> list[Placed]:
+    return sorted(items, key=lambda one: SLOWEST_FIRST.index(one.bench))
+
+
+def _carried_out(work: Callable[[Any], object], items: Sequence[Any], processes: int, done: str) -> None:
+    """Do the work for all items on all cores, in this order, and say from time to time how far it is."""
+    if not items:
         return
-    order = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.bench))
     begun = said = time.monotonic()
     with ProcessPoolExecutor(processes) as pool:
-        waiting = [pool.submit(work, case) for case in order]
+        waiting = [pool.submit(work, one) for one in items]
         for number, one in enumerate(as_completed(waiting), 1):
             one.result()
-            if time.monotonic() - said > 10.0 or number == len(order):
+            if time.monotonic() - said > 10.0 or number == len(items):
                 said = time.monotonic()
-                print(f"{number} of {len(order)} {done}, {said - begun:.0f} s", flush=True)
+                print(f"{number} of {len(items)} {done}, {said - begun:.0f} s", flush=True)
 
 
 def _note_engine(folder: Path) -> None:
@@ -111,14 +154,15 @@ def _note_engine(folder: Path) -> None:
         print(f"note: the program has changed since {folder} was begun; its results are kept, remove it to begin anew")
 
 
-def _page(folder: Path) -> str:
+def _page(folder: Path, made_by: str) -> str:
     found = blind_scores.trials(folder)
     pairs = []
     for one in found:
         path = folder / "peers" / f"{one.answer.id}.json"
         if path.exists():
             pairs.append((one.answer, json.loads(path.read_text(encoding="utf-8")), one.result))
-    return blind_scores.markdown(found, blind_peers.table(pairs) if pairs else ())
+    peers = blind_peers.table(pairs) if pairs else ()
+    return blind_page.page(blind_page.Study(made_by, found, blind_next.trials(folder), blind_wire.found(folder), peers))
 
 
 if __name__ == "__main__":

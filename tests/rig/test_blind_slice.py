@@ -10,9 +10,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import blind_next
+import blind_page
 import blind_scores
 import blind_strangers
 import blind_trials
+import blind_wire
 import blind_worlds
 import numpy as np
 import pytest
@@ -108,3 +111,71 @@ def test_the_ripple_is_as_large_as_stated_and_another_after_a_remount() -> None:
     assert np.sqrt(np.mean(np.abs(found) ** 2)) == pytest.approx(1e-3, rel=0.1)
     assert np.max(np.abs(found[0] - found[1])) > 3e-4
     assert np.max(np.abs(np.diff(found[0]))) < 0.4 * np.max(np.abs(found[0]))  # smooth
+
+
+def test_only_worlds_that_were_not_exact_are_measured_again_and_a_whole_study_has_at_most_a_hundred() -> None:
+    exact = [_trial(_step("cubic"), answer=replace(ANSWER, id=f"good-{n}")) for n in range(50)]
+    wrong = [_trial(_step("delay"), answer=replace(ANSWER, id=f"wrong-{n}")) for n in range(150)]
+    clean = _trial(verdict="adequate", answer=replace(ANSWER, id="clean", table="clean", hidden=[]))
+    chosen = [one.id for one in blind_next.chosen([*exact, *wrong, clean], 30)]
+    assert len(chosen) == 100
+    assert all(one.startswith("wrong") for one in chosen)
+    assert chosen == [one.id for one in blind_next.chosen([clean, *reversed(wrong)], 30)]
+    assert chosen[:10] == [one.id for one in blind_next.chosen(wrong, 3)]
+
+
+def test_what_no_measurement_helps_is_counted_on_its_own_and_is_not_called_exact() -> None:
+    def after(said: str, name: str) -> Trial:
+        trial = _trial(_step(name))
+        return replace(trial, result={**trial.result, "said": said})
+
+    found = [after("decides", "cubic"), after("decides", "delay"), after("one class", "delay"), after("helps", "cubic")]
+    nothing = _trial(verdict="adequate")
+    found.append(replace(nothing, result={**nothing.result, "said": "nothing open"}))
+    said = [row.found.partition(" =")[0] for row in blind_next.rows(found)]
+    assert said == ["2/5", "2/3", "1/2", "0/1", "1 of 5", "1 of 5"]
+
+
+def _wired(name: str, *named: str, classes: list[list[str]], d_prime: float = 50.0) -> dict[str, Any]:
+    hidden = [{"name": name, "stage": "transducer", "parameters": {}, "d_prime": d_prime}]
+    errors = [{"error": 1.5, "heldout": 1.4, "worst": 9.0}, {"error": 1.004, "heldout": 1.01, "worst": 1.0}]
+    return {
+        "seed": 1, "verdict": "missing", "named": list(named), "classes": classes, "hidden": hidden, "errors": errors,
+    }  # fmt: skip
+
+
+def test_over_the_wire_a_world_scores_by_what_reveal_says() -> None:
+    good = _wired("cubic", "cubic", classes=[["cubic"]])
+    near = _wired("cubic", "saturation", classes=[["saturation", "cubic"]])
+    too_many = _wired("cubic", "cubic", "delay", classes=[["cubic"], ["delay"]])
+    failed = {"seed": 2, "verdict": "failed", "named": [], "classes": [], "hidden": [], "why": "rig demo: exit 1"}
+    assert [blind_wire.exact(one) for one in (good, near, too_many, failed)] == [True, False, False, False]
+    assert [blind_wire.in_class(one) for one in (good, near, too_many, failed)] == [True, True, True, False]
+    assert blind_wire.table([good])[1][-3:] == ("1.5", "1.004", "1.01")
+    assert [row.worlds for row in blind_wire.rows([good, near, failed])] == [3, 3, 2, 2, 3]
+
+
+def test_a_smaller_study_has_fewer_worlds_over_the_wire_but_at_least_two() -> None:
+    assert [blind_wire.count(study) for study in (30, 15, 4, 1)] == [20, 10, 3, 2]
+    assert blind_wire.seeds(20)[:3] == blind_wire.seeds(3)
+    assert len(set(blind_wire.seeds(20))) == 20
+
+
+def test_the_first_candidate_of_each_class_is_what_was_named() -> None:
+    taken = {"effect": "cubic", "class": ["cubic", "saturation"]}
+    second = {"effect": "delay", "class": ["delay"]}
+    rival = {"effect": "saturation", "class": ["cubic", "saturation"]}
+    assert blind_wire.firsts([taken, second, rival]) == [taken, second]
+
+
+def test_the_page_says_in_words_what_its_tables_say_in_figures() -> None:
+    clean = _trial(verdict="adequate", answer=replace(ANSWER, table="clean", hidden=[]))
+    wrong = _trial(_step("delay"))
+    study = blind_page.Study("make blind N=1", [clean, clean, _trial(_step("cubic")), wrong])
+    text = blind_page.page(study)
+    assert text.startswith("# Blind test")
+    assert "in 2 clean worlds an effect was never blamed" in text
+    assert "in 1 of 2 worlds exactly that was named" in text
+    assert "made by `make blind N=1` from 4 worlds" in text
+    assert "| clean: an effect named | 0/2 = 0.0 % (0.0–84.2) | ≤ 1 % |" in text
+    assert "Over the wire" not in text

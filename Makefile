@@ -51,8 +51,8 @@ $(V)/.peers: requirements-peers.lock $(V)/.dev
 	@$(UV) pip install -q --python $(V)/bin/python --require-hashes -r requirements-peers.lock
 	@touch $@
 
-blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 ONLY=one OUT=…; hours)
-	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(foreach table,$(ONLY),--only $(table))
+blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 WIRE=20 ONLY=one OUT=…; hours)
+	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(if $(WIRE),--wire $(WIRE)) $(foreach table,$(ONLY),--only $(table))
 
 lock: $(UV) ## renew the hashed locks (names no registry)
 	@$(UV) lock -q

@@ -45,8 +45,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 TABLES = ("clean", "ripple", "one", "two", "unshelved", "strangers")
 WEAKEST, STRONGEST = strength.WEAKEST, strength.STRONGEST
 LEAST_STRANGE, LEAST_EASY = 20.0, 30.0
-REACHED = 0.5  # of the weakest strength: less is as good as nothing
-STEP, MOST_STEPS = 1.02, 20
 RIPPLE = {"relative": 1e-3}
 REMOUNTS = Path(__file__).parents[1] / "procedures" / "remounts.yaml"
 
@@ -143,22 +141,8 @@ def drawn(case: Case) -> Answer:
     """What is hidden in a case's world: parameters of usual size, sized to a strength log-uniform in its range."""
     random = stream(case.seed, "blind")
     measure = strength.meter(case.seed, MAINS, case.bench) if case.names else None
-    hidden = [_strong_enough(case, name, random, measure) for name in case.names if measure is not None]
+    hidden = [_entry(case, name, random, measure) for name in case.names if measure is not None]
     return Answer(case.id, case.table, case.bench, case.seed, hidden)
-
-
-def _strong_enough(
-    case: Case, name: str, random: np.random.Generator, measure: strength.Sweep | strength.Turns
-) -> dict[str, Any]:
-    """One hidden effect. What comes in whole numbers may be sized to nothing (no count missed); then a little more."""
-    found = _entry(case, name, random, measure)
-    for _ in range(MOST_STEPS):
-        if found["d_prime"] >= REACHED * case.weakest or case.table == "strangers":
-            break
-        kind = SHELF.kind(name)
-        parameters = {**found["parameters"], kind.size: found["parameters"][kind.size] * STEP}
-        found = {**found, "parameters": parameters, "d_prime": measure.strength((kind(**parameters),))}
-    return found
 
 
 def _entry(

@@ -14,6 +14,7 @@ from rig.cli.repair import EFFECTS, MODEL, RUN_NAMES, START, Opened, model_optio
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts
     from rig.estimate.diagnose import Diagnosis
+    from rig.estimate.evidence import Evidence
     from rig.estimate.experiments import Ranked
 
 MOST_ROUNDS = 10
@@ -65,15 +66,17 @@ def next_(
 
     work = opened(names, runs, model, start, effects)
     diagnosis = _diagnosed(work)
-    timed = [(one, _minutes(one, bench)) for one in _ranked(diagnosis, runs)]
+    ours = not work.bench.evidence.imported  # this bench cannot repeat what others measured
+    timed = [(one, _minutes(one, bench)) for one in (_ranked(diagnosis, runs) if ours else [])]
     rows = [(one, minutes) for one, minutes in timed if minutes is not None]
-    lacking = unmeasured(work.bench.evidence)
+    lacking = unmeasured(work.bench.evidence) if ours else ()
     path = _written(rows[0][0], out or work.figures / "next.yaml") if rows else None
     if as_json:
         print_json(_ranking_as_json(diagnosis, rows, path, lacking))
         return
     refused = [one for one, minutes in timed if minutes is None]
-    click.echo("\n".join([*_ranking_text(diagnosis, rows, refused), *_lacking_text(lacking)]))
+    said = [*_ranking_text(diagnosis, rows, refused), *_lacking_text(lacking)]
+    click.echo("\n".join(said if ours else _elsewhere_text(diagnosis, work.bench.evidence)))
     if path is not None:
         click.echo(f"procedure: {path}")
     worth = path is not None and rows[0][0].helps
@@ -201,6 +204,15 @@ def _verdict_in_words(diagnosis: Diagnosis) -> str:
             return f"what is missing is {what}"
         case _:
             return f"an effect that is on no shelf{f', nearest {what}' if what else ''}"
+
+
+def _elsewhere_text(diagnosis: Diagnosis, evidence: Evidence) -> list[str]:
+    """What would tell effects apart on the bench where imported records come from."""
+    lines = ["imported records: this bench cannot measure that; on the bench they come from, these would tell:"]
+    for step in diagnosis.steps:
+        for effect in dict.fromkeys(choice.term.effect for choice in step.members):
+            lines.append(f"  {effect.name}: {effect.separate_by}")
+    return [*lines, *(f"  not seen: {one}" for one in evidence.blind)]
 
 
 def _lacking_text(lacking: Sequence[tuple[str, str]]) -> list[str]:

@@ -12,7 +12,8 @@ class MovingAverage(Effect):
     title = "moving average"
     equation = "H = sin(π·f·window)/(π·f·window)·exp(−j·π·f·window)"
     quantities = BOTH
-    coordinates = (Coordinate("window", 5e-5),)
+    # beside a delay a window of nothing moves nothing, and one of −w does what +w does: started from some real ones too
+    coordinates = (Coordinate("window", 5e-5, (0.0, 3e-4, 2e-3, 1e-2)),)
     parameters = (Parameter("window", "s", (0.0, 10.0), (5e-5, 2e-2)),)
     missing = "gain falls as (π·f·window)²/6 while the phase lags as f·window/2 of a turn, exactly ∝ f, at every level"
     confused_with = ("delay", "bessel_filter", "first_order_lag", "butterworth_filter")

@@ -16,7 +16,7 @@ import numpy as np
 
 from rig.estimate import adequacy
 from rig.estimate.describe import Description, describe
-from rig.estimate.diagnose import CHANCE, Choice, Diagnosis, Step, diagnose
+from rig.estimate.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, diagnose
 from rig.estimate.evidence import Evidence
 from rig.estimate.fit import POLE_TOLERANCE, Fit
 from rig.estimate.parameters import Estimate, covariance_of, estimates, independent, plausible
@@ -205,7 +205,10 @@ def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
             assert choice.fit is not None
             worst = adequacy.worst(choice.fit)
             where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
-            where += "" if choice.possible else "; its size is outside what physics allows"
+            if not choice.possible:
+                where += "; its size is outside what physics allows"
+            elif choice.gain > step.taken.gain - CLASS:
+                where += "; this data does not exclude it"
             yield Excluded(number, choice.term.key, error_of(choice.fit), where)
 
 

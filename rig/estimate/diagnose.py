@@ -112,7 +112,7 @@ def diagnose(
     if steps and not adequacy.adequate(current):
         steps, current = _paired(steps, base, current, shelf, memory)
     steps, current = _pruned(steps, current)
-    return _concluded(base, current, steps, first_scores, misplaced)
+    return _concluded(base, current, steps, first_scores, misplaced, evidence.imported)
 
 
 def _step(
@@ -259,7 +259,7 @@ def _unevenness(before: Fit, after: Fit) -> float:
     size, found = 0.0, 0.0
     for part, first, end in zip(after.parts, offsets, offsets[1:], strict=False):
         weight = float(change[first:end] @ change[first:end])
-        factor = part.unevenness(change[first:end], after.left[first:end]) if isinstance(part, Tabled) else 1.0
+        factor = part.unevenness(change[first:end], before.left[first:end]) if isinstance(part, Tabled) else 1.0
         size, found = size + weight, found + weight * factor
     return found / size if size > 0.0 else 1.0
 
@@ -300,10 +300,12 @@ def _pruned(steps: list[Step], current: Fit) -> tuple[list[Step], Fit]:
 
 
 def _concluded(
-    base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], misplaced: tuple[str, ...]
+    base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], misplaced: tuple[str, ...], imported: bool
 ) -> Diagnosis:
-    fine = adequacy.adequate(final)
     before, after = adequacy.excess(base), adequacy.excess(final)
+    fine = adequacy.adequate(final)
+    if imported and steps:  # references of others are less perfect: no more is left than the steps' own error
+        fine = fine or after < SHARE * (base.objective - final.objective)
     explained = 1.0 - after / before if before > 0.0 else 1.0
     verdict: Verdict
     if not fine:

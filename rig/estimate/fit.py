@@ -27,6 +27,7 @@ ENOUGH = 1e-3  # of χ²: a step that changes it by less is the last
 ITERATIONS = 12
 HALVINGS = 5
 CORRECTIONS = 5  # steps with the same columns
+ROUNDING = 1e-13  # of the largest output
 NEGLIGIBLE = 1e-11  # of a scaled normal matrix: directions that the data do not see
 
 Indices = NDArray[np.intp]
@@ -438,6 +439,12 @@ def term_columns(
             nearby = term.moved(**{coordinate.name: term.at[coordinate.name] + step})
             change = np.zeros_like(base)
             where = slice(None) if only is None else only
-            change[where] = (part.raw(local, [*others, nearby], only) - base[where]) / step
+            change[where] = _beyond_rounding(part.raw(local, [*others, nearby], only), base[where]) / step
             columns.append(part.whitened(change))
     return np.stack(columns, axis=1) if columns else np.zeros((part.rows, 0))
+
+
+def _beyond_rounding(moved: NDArray[np.inexact], base: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    """The difference, or nothing where it is only rounding: a coordinate without any effect must have no column."""
+    change, largest = moved - base, np.abs(base).max(initial=0.0)
+    return np.zeros_like(change) if np.abs(change).max(initial=0.0) < ROUNDING * largest else change

@@ -24,6 +24,7 @@ SAMPLES = 4.0  # per period of the highest frequency compared
 TAPS = 24  # of the low-pass before thinning, per instant kept
 BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
 SHORTEST = 4.0  # s of a record between gaps that is worth comparing
+LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left at half the new rate
 EDGE = 8  # instants at either end of a record that are not compared
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
 AXES = "xyz"
@@ -40,11 +41,14 @@ class _Piece:
     interval: float
     track: AngleTrack | PoseTrack
     step: int = 1
+    taps: Array | None = None
 
     def of_track(self, name: str, begin: int, end: int) -> Array:
-        """Values of the track at some instants of the grid."""
-        values: Array = getattr(self.track, name)[..., :: self.step]
-        return values[..., begin:end]
+        """Values of the track at some instants of the grid, low-passed as the device is."""
+        values: Array = getattr(self.track, name)
+        if self.taps is not None:
+            values = _low_passed(values, self.taps)
+        return values[..., :: self.step][..., begin:end]
 
 
 def rotations(foreign: Foreign) -> FollowRecords:
@@ -125,20 +129,34 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
 
 
 def _thinned(piece: _Piece, band: float) -> _Piece:
-    """Every few instants, as many as the band needs: the device low-passed without delay, flat within the band."""
-    from scipy.ndimage import convolve1d
+    """Every few instants, as many as the band needs: device and reference alike low-passed without delay.
+
+    The noise of a reference rises with frequency: thinned as it stands, what is above the grid would fold into it.
+    """
     from scipy.signal import firwin
 
     step = math.floor(1.0 / (SAMPLES * band * piece.interval))
     if step < 2:
         return piece
-    taps = firwin(TAPS * step + 1, 0.5 * SAMPLES * band, window=("kaiser", 8.0), fs=1.0 / piece.interval)
-    smooth = convolve1d(piece.observed, taps, axis=1, mode="nearest")[:, ::step]
+    taps = firwin(TAPS * step + 1, LOW_PASS * band, window=("kaiser", 8.0), fs=1.0 / piece.interval)
+    smooth = _low_passed(piece.observed, taps)[:, ::step]
     margin = np.ones(TAPS * step + 1)
     good = (np.convolve(piece.good, margin, mode="same") > len(margin) - 0.5)[::step]
     return replace(
-        piece, time=piece.time[::step], observed=smooth, good=good, interval=step * piece.interval, step=step
+        piece,
+        time=piece.time[::step],
+        observed=smooth,
+        good=good,
+        interval=step * piece.interval,
+        step=step,
+        taps=taps,
     )
+
+
+def _low_passed(values: Array, taps: Array) -> Array:
+    from scipy.ndimage import convolve1d
+
+    return np.asarray(convolve1d(values, taps, axis=-1, mode="nearest"))
 
 
 def _device(foreign: Foreign) -> list[Column]:

@@ -27,6 +27,7 @@ from rig.motion import Array, Complexes, Motion, Stretches
 DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
 PER_DECADE = 8.0
 FREE = 10.0  # lines' worth of freedom that a density is worked out from at least
+LOUDEST = 16.0  # times the mean power that noise may have just when an effect shows
 RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
 ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
 ROOM = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
@@ -116,12 +117,15 @@ class Following(Tabled):
         return self.moved(())
 
     def moved(self, terms: Sequence[Term]) -> Motion:
-        """The true motion, once what is wrong with the encoder is taken off what it shows."""
+        """The true motion, once what is wrong with the reference is taken off what it shows."""
         key = reference_key(terms)
         if key not in self._moved:
             if len(self._moved) > REMEMBERED:
                 self._moved.clear()
-            self._moved[key] = self._read([t for t in terms if type(t.effect).turned is not Effect.turned])
+            motion = self._read([t for t in terms if type(t.effect).turned is not Effect.turned])
+            for term in (t for t in terms if t.effect.stage == "reference"):
+                motion = term.effect.motion(motion, term.at)
+            self._moved[key] = motion
         return self._moved[key]
 
     def _read(self, terms: Sequence[Term]) -> Motion:
@@ -148,7 +152,8 @@ class Following(Tabled):
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)
-        return np.asarray(volts(self.moved(terms), channels, local, terms), np.float64)
+        own = [term for term in terms if term.effect.stage != "reference"]  # those are in the motion already
+        return np.asarray(volts(self.moved(terms), channels, local, own), np.float64)
 
     def lines(self, values: Array) -> Array:
         """Cosine lines of signals (k, n) within the bands, stretch after stretch, (k, width)."""
@@ -264,12 +269,13 @@ class Following(Tabled):
 
     def unevenness(self, change: Array, left: Array) -> float:
         """Of noise that is louder while the motion is: Σd²l² over instants against Σd² times the mean of l² (the
-        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time.
+        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time. An effect that shows
+        at a few instants only is as doubtful, so l is what was left before it; but there is a limit to doubt.
         """
         moved, rest = self._in_time(change), self._in_time(left)
         mean = np.mean(rest**2, axis=1, keepdims=True)
         even = float(np.sum(moved**2 * mean))
-        return max(1.0, float(np.sum(moved**2 * rest**2)) / even) if even > 0.0 else 1.0
+        return min(max(1.0, float(np.sum(moved**2 * rest**2)) / even), LOUDEST) if even > 0.0 else 1.0
 
     def _in_time(self, rows: Array) -> Array:
         """Rows as signals, (c, n), each stretch from its own lines."""

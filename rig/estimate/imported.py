@@ -27,9 +27,11 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
         case "rotation":
             turned = rotations(foreign)
             lies = not turned.upright and not turned.channels.rates.all()
-            return [Following(turned)], nuisances.of_rotation(turned.axis) if lies else []
+            known = nuisances.of_track(max(turned.bands))
+            return [Following(turned)], [*known, *(nuisances.of_rotation(turned.axis) if lies else [])]
         case "motion":
-            return [Following(motions(foreign))], []
+            moved = motions(foreign)
+            return [Following(moved)], nuisances.of_track(max(moved.bands))
         case "sweep":
             return [Sines(data) for data in sweeps(foreign)], []
         case "poses":

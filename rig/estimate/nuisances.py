@@ -18,6 +18,7 @@ from rig.shelf import effect_of, nothing_of
 from rig.vibration import Chain, chain_of
 
 U_GRAVITY_ANGLE = 0.3  # rad
+U_BEND = 0.01  # relative, at the end of the band
 
 
 class FilterCutoff(Effect):
@@ -85,6 +86,40 @@ class GravityAngle(Effect):
             vector[first], vector[second] = c * one - s * other, s * one + c * other
             moved[name] = vector
         return Motion(**{**vars(motion), **moved})
+
+
+class ReferenceBend(Effect):
+    """A smoothed reference keeps the motion to a per cent at the end of the band: its response bends a little."""
+
+    name = "reference_bend"
+    stage = "reference"
+    title = "response of the reference at the end of the band"
+    equation = "H = 1 + relative·(f/band)²"
+    places = ("rotation", "free")
+    coordinates = (Coordinate("relative", 1e-3),)
+    parameters = (Parameter("relative", "1", (-0.2, 0.2), (1e-4, 0.02)),)
+    missing = "gain of every channel ∝ f² by a per cent at the end of the band, without phase"
+    separate_by = "a reference that is sampled faster"
+    source = "smoothing of tracks: kept to 99 % at the band's end"
+
+    def __init__(self, band: float) -> None:
+        self._band = band
+
+    def motion(self, motion: Motion, at: Values) -> Motion:
+        if not at["relative"]:
+            return motion
+
+        def bent(frequency: Array) -> Complexes:
+            return np.asarray(1.0 + at["relative"] * (frequency / self._band) ** 2, np.complex128)
+
+        names = ("force", "rate", "turning")
+        moved = {n: np.asarray(motion.grid.observed(getattr(motion, n), bent), np.float64) for n in names}
+        return Motion(**{**vars(motion), **moved})
+
+
+def of_track(band: float) -> list[Term]:
+    """What the smoothing of a track may do at the end of the compared band (Hz)."""
+    return [Term(ReferenceBend(band), None, {"relative": 0.0}, {"relative": U_BEND})]
 
 
 def of_rotation(axis: int) -> list[Term]:

@@ -108,7 +108,7 @@ class Tabled(ABC):
 
     def unevenness(self, change: Array, left: Array) -> float:
         """How many times more the χ² that one effect removes scatters by chance, because noise is not the same
-        throughout. `change` (rows,) is what the effect moves, `left` (rows,) what is left over with it.
+        throughout. `change` (rows,) is what the effect moves, `left` (rows,) what is left over without it.
         """
         return 1.0
 

@@ -65,7 +65,7 @@ def _import(manifest: Path, data: Path | None, runs: Path, dry_run: bool, as_jso
         click.echo("nothing was written; next: the same command without --dry-run")
     else:
         click.echo(f"run {name}")
-        click.echo("next: rig compare last")
+        click.echo(f"next: rig {'show' if read.manifest.kind == 'static' else 'compare'} last")
 
 
 def read_as_json(read: Read, name: str | None) -> dict[str, Any]:

@@ -101,6 +101,10 @@ def _imported_lines(records: Records) -> list[str]:
     lines += [f"  {t.label}: {len(t.values)} rows{', held out' if t.held_out else ''}" for t in data.tables]
     lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
     lines += [f"  found on import: {text}" for text in data.found]
+    if made.kind == "static":
+        from rig.estimate.foreign_rest import at_rest
+
+        return [*lines, *(f"  {one.in_words}" for one in at_rest(data)), "next: rig import MANIFEST.yaml, a record of the same unit in motion"]
     return [*lines, f"next: rig compare {records.name}"]
 
 

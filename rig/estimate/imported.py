@@ -37,4 +37,4 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
         case "poses":
             return [Posed(data) for data in posed(foreign)], []
         case kind:
-            raise BadInput(f"{foreign.run}: found data of kind {kind}, wanted one that a model can be compared with")
+            raise BadInput(f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: rig show)")

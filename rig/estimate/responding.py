@@ -247,6 +247,16 @@ class Responding(Tabled):
     def noise(self) -> Array:
         return np.asarray(self._variance * np.abs(self._means[:, None]) ** 2).reshape(1, -1)
 
+    @property
+    def allowance(self) -> float:
+        """A scatter is known as well as there are repeats; what is stated counts as known."""
+        count = len(self._turns)
+        freedom = len(self.data.frequency) - count
+        if not freedom:
+            return super().allowance
+        own = [variance[-1] / variance[0] for _, _, variance in self._turns if len(variance) > 1]
+        return math.hypot(super().allowance, math.sqrt(2.0 / freedom) * float(np.mean(own)))
+
     def errors(self, left: Array) -> Array:
         """Sum of squares of |H observed − H predicted|."""
         apart = left.reshape(-1, 2) * np.sqrt(self._variance)

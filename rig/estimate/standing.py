@@ -242,7 +242,7 @@ def noises_at_rest(channels: Sequence[Sequence[Array]], rate: float) -> list[Noi
 
 def _noise(parts: Sequence[Array], rate: float) -> tuple[NoiseModel, NoiseModel, float]:
     """White noise; white noise and flicker; and how much better the latter is by Schwarz's criterion (1978)."""
-    step = _step_of(np.concatenate(parts))
+    step = step_of(np.concatenate(parts))
     rounding = step**2 / 6.0 / rate
     density = _together([_lines(_middle(part), rate) for part in parts], rounding)
     level = float(np.average(density.density, weights=density.dof))
@@ -300,7 +300,7 @@ def _likelihood(seen: Density, model: NoiseModel) -> float:
     return -0.5 * float(seen.dof @ (np.log(level) + seen.density / level))
 
 
-def _step_of(values: Array) -> float:
+def step_of(values: Array) -> float:
     """Smallest difference between the numbers that a record holds: what it is rounded to."""
     different = np.diff(np.unique(values[np.isfinite(values)]))
     return float(different.min()) if len(different) else 0.0

@@ -1,0 +1,44 @@
+"""An imported record at rest: its mean and its noise against what was put in."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.errors import BadInput
+from rig.estimate.foreign_rest import AtRest, at_rest
+from rig.foreign import Array, Foreign, Table
+from rig.manifest import from_json
+
+
+def record(values: Array, **column: Any) -> list[AtRest]:
+    """A record of one channel at 100 Hz."""
+    body = {
+        "format": 1, "kind": "static", "unit": {"serial": "one"}, "provenance": {"source": "made", "licence": "none"},
+        "files": [{"path": "a.csv"}], "time": {"rate": "100 Hz"},
+        "columns": [{"column": "g", "quantity": "rate", "unit": "°/s", "axis": "z", **column}],
+    }  # fmt: skip
+    table = Table("a", ("g",), values[:, None], {}, False)
+    return list(at_rest(Foreign("run", from_json(body), (table,), ())))
+
+
+def test_mean_and_white_noise_come_back_in_si() -> None:
+    sigma = 0.2  # °/s per sample at 100 Hz: N = σ/√rate
+    found = record(1.5 + sigma * np.random.default_rng(4).standard_normal(20000))[0]
+    assert found.mean == pytest.approx(math.radians(1.5), abs=4.0 * math.radians(sigma) / math.sqrt(20000))
+    walk = found.coefficients["N"]
+    assert walk.value is not None
+    assert walk.u is not None
+    assert walk.value == pytest.approx(math.radians(sigma) / 10.0, abs=4.0 * walk.u)
+    assert walk.u < 0.03 * walk.value
+    assert "rad/s/√Hz" in found.in_words
+
+
+def test_rows_without_a_number_are_refused() -> None:
+    values = np.random.default_rng(1).standard_normal(1000)
+    values[10] = np.nan
+    with pytest.raises(BadInput, match="found rows without a number"):
+        record(values)

@@ -104,7 +104,8 @@ def _imported_lines(records: Records) -> list[str]:
     if made.kind == "static":
         from rig.estimate.foreign_rest import at_rest
 
-        return [*lines, *(f"  {one.in_words}" for one in at_rest(data)), "next: rig import MANIFEST.yaml, a record of the same unit in motion"]
+        noises = (f"  {one.in_words}" for one in at_rest(data))
+        return [*lines, *noises, "next: rig import MANIFEST.yaml, a record of the same unit in motion"]
     return [*lines, f"next: rig compare {records.name}"]
 
 

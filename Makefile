@@ -52,7 +52,7 @@ $(V)/.peers: requirements-peers.lock $(V)/.dev
 	@touch $@
 
 blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 WIRE=20 ONLY=one OUT=…; hours)
-	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(if $(WIRE),--wire $(WIRE)) $(foreach table,$(ONLY),--only $(table))
+	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(if $(WIRE),--wire $(WIRE)) $(if $(SERIES),--series $(SERIES)) $(foreach table,$(ONLY),--only $(table))
 
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)
 	@$(V)/bin/python tests/real_data.py --data $(or $(DATA),../shared/data)

@@ -99,7 +99,8 @@ def _made_by(asked: argparse.Namespace) -> str:
     """The command that makes this study again."""
     only = f' ONLY="{" ".join(asked.only)}"' if asked.only else ""
     wire = "" if asked.wire is None else f" WIRE={asked.wire}"
-    return f"make blind N={asked.worlds}{only}{wire}{' PEERS=1' if asked.peers else ''}"
+    series = "" if asked.series == "1" else f" SERIES={asked.series}"
+    return f"make blind N={asked.worlds}{series}{only}{wire}{' PEERS=1' if asked.peers else ''}"
 
 
 def _asked() -> argparse.Namespace:

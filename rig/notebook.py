@@ -102,9 +102,7 @@ class Model:
         from rig.estimate.conclusion import conclude
 
         model = self._done.model
-        return conclude(
-            self._bench.evidence, self.terms, self._bench.shelf, poles=model.poles, shared=model.shared
-        )
+        return conclude(self._bench.evidence, self.terms, self._bench.shelf, poles=model.poles, shared=model.shared)
 
     def add(self, name: str, on: Quantity | None = None, *, formula: str | None = None) -> Model:
         """Add an effect of the shelf, or a term by formula (`k * omega**2`), and refit. Raises BadInput."""

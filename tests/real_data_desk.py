@@ -206,16 +206,7 @@ def diagnosed(said: Json) -> str:
 
 def firsts(said: Json) -> list[Json]:
     """The candidate taken at every step."""
-    taken: list[Json] = []
-    for one in said["candidates"]:
-        if not any(_rivals(one, other) for other in taken):
-            taken.append(one)
-    return taken
-
-
-def _rivals(one: Json, taken: Json) -> bool:
-    """Whether a candidate is of the class of one that was taken."""
-    return one["effect"] in taken["class"] and one.get("on") == taken.get("on")
+    return [one for one in said["candidates"] if one["taken"]]
 
 
 def named(one: Json) -> str:
@@ -229,14 +220,14 @@ def values(parameters: Json) -> str:
 
 
 def _steps(said: Json) -> Iterator[str]:
-    taken = firsts(said)
-    for number, one in enumerate(taken, 1):
+    for one in firsts(said):
+        number = one["step"]
         yield (
             f"{number}. **{named(one)}**: {values(one['parameters'])}. Error with it {one['error_after']:.4g} times "
             f"the noise, held out {one['heldout_error_after']:.4g}. Because {one['because']}."
         )
         for other in said["candidates"]:
-            if other not in taken and _rivals(other, one):
+            if other["step"] == number and not other["taken"]:
                 said_of = f"{named(other)}, {values(other['parameters'])}, error {other['error_after']:.4g}"
                 yield f"   - not told apart from it: {said_of}"
         for below in said["excluded"]:

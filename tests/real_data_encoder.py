@@ -238,9 +238,9 @@ The sign is settled before anything is fitted, and said with every answer: "{sig
 
 Read that as two statements. First, the case is not square to the shaft: each gyro shows a share of the turning, as
 from a tilt of about a degree. Second, the gyros are late. Below 5 Hz a delay, a moving average and a filter of three or
-four poles are the same thing but for a few thousandths of the gain. They all say about 12 ms; none of them is
-known to be *the* cause from this band, and the record says so by keeping a class. `unlisted` stands because one
-accelerometer channel keeps a little more than its noise. We have added the plainest member, the delay.
+four poles are nearly the same thing: whichever stands first above, the errors of the others agree with it to a few
+thousandths, and all of them mean about 12 ms. This band does not show which is *the* cause. We have added the
+plainest, the delay.
 
 **What was added (yaw medium).** A tilt of the reference's frame and a delay of the gyros of {gyro_delay}.
 
@@ -260,8 +260,9 @@ begins like this:
 
 {pitch}
 
-A delay that all channels share is written as `reference_delay`; what the gyros have beyond it is `delay` of the rates.
-The lag that the diagnosis lists for the gyros leaves as much as a delay of the same size, so we add the delay.
+Two delays can be written in two ways: each kind of channel with its own, or a part that all share
+(`reference_delay`) and what the gyros have beyond it (`delay` of the rates). Filters of the same lateness leave
+nearly the same error here too. We take the common part and the excess, because that shows what cannot be attributed:
 
 {pitch_ladder}
 
@@ -274,21 +275,22 @@ All four trials, each fitted for itself:
 
 {trials}
 
-The delay of the gyros is the same within a few tenths of a millisecond in trials whose speeds differ by a factor of
-four. A dead zone or a limit of the rate would not do that.
+The delay of the gyros is the same within a millisecond in trials whose speeds differ by a factor of four, and
+so is that of the accelerometers. A dead zone or a limit of the rate would not do that. The roll trial differs most; it
+is also the one whose time stamps are logged worst.
 
 **Real motion above the band.** What is left in the gyros is not all error. A stepper pushes once per step; with
-half-steps or a pair of unlike phases the push comes once in two full steps of 1.8°, so at the mean speed divided by
-3.6°. We looked for that line in the records, with the program's own spectra (`rig.open_run`, `rig.spectrum.welch`,
-segments of ten seconds):
+a pair of unlike phases the push comes once in two full steps of 1.8°, so at the mean speed divided by 3.6° (that this
+motor has such steps is our guess; the line is not). We looked for that line in the records, with the program's own
+spectra (`rig.open_run`, `rig.spectrum.welch`, segments of ten seconds):
 
 {lines}
 
 The line stands where the speed puts it, in gyro and encoder alike: the case really shakes, and the line is motion and
-not noise of the sensor. No command says this by itself yet. `rig compare` stays below 5 Hz and reports
-up to where motion and noise of the encoder can be told apart. The last column is more than the
-comparison below 5 Hz can give. Near 13 Hz the gyro follows the encoder almost fully; near 47 Hz it does not. So part
-of the 12 ms is a low-pass filter in the sensor, which is what the class above leaves open.
+not noise of the sensor. The last column says more than a comparison below 5 Hz can. Near 13 Hz the gyro follows the
+encoder almost fully, near 47 Hz it does not (nor is that a line near 53 Hz folded by the sampling of 100 Hz: the speed
+says 47). So part of the 12 ms is likely a low-pass filter in the sensor. No command looks for such lines by itself:
+they lie above the band that `rig compare` uses here, and ten lines of Python found them.
 
 **What is left over.** Jitter of the logger, the encoder's steps, and the shaking. {arm}
 

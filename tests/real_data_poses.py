@@ -71,7 +71,14 @@ def ferraris(desk: Desk) -> str:
 
 
 CHANNELS = ["channel", "sensitivity, numbers per SI unit", "relative to the file's unit", "zero, numbers of the file"]
-TURNS = ["turn about", "as the file reads", "zero of the gyro taken off", "calibrated", "the other two, calibrated", ""]
+TURNS = [
+    "turn about",
+    "as the file reads",
+    "zero of the gyro taken off",
+    "calibrated",
+    "second axis, calibrated",
+    "third axis, calibrated",
+]
 
 
 def _channels(model: Mapping[str, Any]) -> Iterator[list[str]]:
@@ -99,7 +106,7 @@ def turns(data: Path, model: Mapping[str, Any]) -> Iterator[tuple[str, list[floa
 def _integrals(
     rows: list[dict[str, str]], axis: str, model: Mapping[str, Any], step: float
 ) -> tuple[float, float, float]:
-    """Degrees about an axis: the numbers as they stand, without zero, and with zero and sensitivity of the model."""
+    """° about an axis: the numbers as they stand, without zero, and with zero and sensitivity of the model."""
     channel = model["channels"][f"gyro_{axis}"]
     zero, sensitivity = next(iter(channel["zero"].values())), channel["sensitivity"]["value"]
     raw = [float(row[f"gyr_{axis}"]) for row in rows]

@@ -77,8 +77,9 @@ the file's unit), against a noise of {noise:.2g}: {ratio:.3g} times.
 **What was added.** Nothing. A few tenths of a percent of the gain change with the level and with the harmonic, and no
 effect of the shelf explains both. The noise at rest is very small, so "many times the noise" is still less than one
 percent of the motion. With one frequency only, a phase of the board's mounting, a delay and a filter cannot be told
-apart, and
-the base accelerometer has no stated uncertainty that would say how good it is itself.
+apart, and the base accelerometer has no stated uncertainty that would say how good it is itself. The diagnosis is
+asked for physics of a sensor, and its nearest effects leave the error far from the noise: that is the reason not to
+add them. On units the program says:
 
 {unit}
 

@@ -116,6 +116,7 @@ def test_the_stepper_shakes_gyro_and_encoder_alike_where_its_speed_says(
     assert line.frequency == pytest.approx(near, abs=0.15)
     assert line.frequency == pytest.approx(line.speed / 3.6, rel=0.02)
     assert 0.5 < line.gyro / line.encoder < 1.0  # both have it; the gyro filters the faster one
+    assert "real motion above the band, in gyro and encoder alike" in desk.text("compare", "last")
 
 
 @needs_data

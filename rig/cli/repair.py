@@ -255,11 +255,11 @@ def diagnosis_text(said: Conclusion) -> list[str]:
         lines += ["", *candidate_text(here[0], said.verdict == "unlisted")]
         lines += [f"  not excluded by this data: {_other_text(one)}" for one in here[1:]]
         lines += [
-            f"  ranked below: {one.effect} would leave {one.error_after:.4g}, {one.why}"
+            f"  ranked below: in its place {one.effect} would leave {one.error_after:.4g}, {one.why}"
             for one in said.excluded if one.step == step
         ]  # fmt: skip
     if said.description:
-        lines += ["", f"  {said.description}"]
+        lines += ["", *(f"  {piece}" for piece in said.description.replace(".; ", "; ").split("; "))]
     lines += ["", "this data cannot see:", *(f"  {one}" for one in said.cannot_see)] if said.cannot_see else []
     return lines
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rig.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.errors import BadInput
 from rig.estimate.following import FollowRecords, spun_force
+from rig.estimate.shared_lines import shared_lines
 from rig.estimate.turning import Shown
 from rig.foreign import Foreign, Table
 from rig.manifest import Column, Rotation
@@ -56,7 +57,8 @@ def rotations(foreign: Foreign) -> FollowRecords:
     made = foreign.manifest.rotation
     assert made is not None
     pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
-    return _joined(foreign, pieces, made)
+    data = _joined(foreign, pieces, made)
+    return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
 
 
 def motions(foreign: Foreign) -> FollowRecords:
@@ -236,6 +238,25 @@ def _with_encoder(data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], 
                             "rate": rate, "turning": turning, "notes": tuple(notes)})  # fmt: skip
     force = spun_force(made, shown.angle)
     return FollowRecords(**{**vars(made), "force": force, "up": force / made.gravity})
+
+
+def _shaken(foreign: Foreign, axis: str, band: float) -> list[str]:
+    """Lines above the compared band that the gyro about the axis and the encoder's angle share, file by file."""
+    angles = foreign.manifest.of("reference", "angle")
+    gyros = [one for one in _device(foreign) if one.quantity == "rate" and one.axis == axis]
+    said = []
+    for table in foreign.tables if angles and gyros else ():
+        time, angle, gyro = foreign.time(table), foreign.si(table, angles[0]), foreign.si(table, gyros[0])
+        known = np.flatnonzero(np.isfinite(time) & np.isfinite(angle) & np.isfinite(gyro))
+        known = known[np.diff(np.maximum.accumulate(time[known]), prepend=-math.inf) > 0.0]
+        step = float(np.median(np.diff(time[known])))
+        even = np.arange(time[known[0]], time[known[-1]], step)
+        angle[known] = np.unwrap(angle[known])
+        turned, felt = (np.interp(even, time[known], one[known]) for one in (angle, gyro))
+        if found := shared_lines(turned, felt, step, band):
+            lines = "; ".join(one.in_words for one in found)
+            said.append(f"{table.label}: real motion above the band, in gyro and encoder alike: lines at {lines}")
+    return said
 
 
 def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:

@@ -346,4 +346,5 @@ def _inverse(columns: Sequence[Array]) -> Array:
     """Inverses of 3 × 3 matrices given by their columns, each (3, n): (3, 3, n)."""
     a, b, c = columns
     rows = np.stack([np.cross(b, c, axis=0), np.cross(c, a, axis=0), np.cross(a, b, axis=0)])
-    return np.asarray(rows / np.sum(a * rows[0], axis=0))
+    with np.errstate(all="ignore"):  # a step too far makes one without an inverse, and is not taken
+        return np.asarray(rows / np.sum(a * rows[0], axis=0))

@@ -101,7 +101,9 @@ def test_a_draft_filled_in_by_hand_is_imported(folder: Path) -> None:
 
 def test_a_draft_is_not_written_over_another(folder: Path) -> None:
     rig(folder, "import", "--guess", "swing.csv", "-o", "draft.yaml")
-    rig(folder, "import", "--guess", "swing.csv", "-o", "draft.yaml", wanted=2)
+    (folder / "draft.yaml").write_text("mine by now\n", encoding="utf-8")
+    assert "draft.yaml" in rig(folder, "import", "--guess", "swing.csv", "-o", "draft.yaml", wanted=2).stderr
+    assert (folder / "draft.yaml").read_text(encoding="utf-8") == "mine by now\n"
 
 
 REAL = {

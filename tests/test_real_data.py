@@ -85,6 +85,7 @@ def test_gyros_on_a_stepper_are_twelve_milliseconds_late(tmp_path: Path) -> None
     assert any("gyro_z counts against the reference" in one["text"] for one in said["findings"])
     before = error(desk, "gyros")
     found = desk.asked("diagnose", "last")
+    assert found["verdict"] == "missing"
     late = [one for one in found["candidates"] if one["effect"] == "delay"]
     assert late
     assert late[0]["parameters"]["time"]["value"] == pytest.approx(12e-3, abs=0.5e-3)

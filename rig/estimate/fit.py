@@ -429,9 +429,7 @@ def term_columns(
         return np.zeros((part.rows, len(names)))
     if base is None:
         base = part.raw(local, [*others, term])
-    index = part.channels.of(term.on)
-    apart = term.on is not None and term.effect.stage != "reference" and not isinstance(part, Joint)
-    only = index if apart else None
+    only = apart(part, term)
     columns = []
     for coordinate in term.effect.coordinates:
         if not coordinate.searched:
@@ -442,6 +440,12 @@ def term_columns(
             change[where] = _beyond_rounding(part.raw(local, [*others, nearby], only), base[where]) / step
             columns.append(part.whitened(change))
     return np.stack(columns, axis=1) if columns else np.zeros((part.rows, 0))
+
+
+def apart(part: Part, term: Term) -> Indices | None:
+    """Channels of a part that alone feel a term; None if all do."""
+    alone = term.on is not None and term.effect.stage != "reference" and not isinstance(part, Joint)
+    return part.channels.of(term.on) if alone else None
 
 
 def _beyond_rounding(moved: NDArray[np.inexact], base: NDArray[np.inexact]) -> NDArray[np.inexact]:

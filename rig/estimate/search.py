@@ -129,17 +129,11 @@ class _Sight:
             here = raw
             if any(term.at.values()) and part.place in term.effect.places:
                 here = raw.copy()
-                only = _apart(part, term)
+                only = fitting.apart(part, term)
                 here[slice(None) if only is None else only] = part.raw(local, [*terms, term], only)
             columns.append(fitting.term_columns(part, local, terms, term, here))
             moved.append(np.zeros(part.rows) if here is raw else part.whitened(here - raw))
         return np.concatenate(columns)[self.counting], np.concatenate(moved)[self.counting]
-
-
-def _apart(part: fitting.Part, term: Term) -> NDArray[np.intp] | None:
-    """Channels that alone feel a term; None if all do."""
-    apart = term.on is not None and term.effect.stage != "reference" and not isinstance(part, fitting.Joint)
-    return part.channels.of(term.on) if apart else None
 
 
 def _counting(block: fitting.Block, counted: NDArray[np.bool_]) -> fitting.Block:

@@ -1,13 +1,13 @@
 """The turntable's encoder (1000-line disk with HEDS-9040) as an instrument: three channels of the converter.
 
-It has no link of its own; what its sampled outputs mean is decoded by `rig.encoder`, here and in the analysis alike.
+It has no link of its own; what its sampled outputs mean is decoded by `encoder`, here and in the analysis alike.
 """
 
 from __future__ import annotations
 
-from rig.encoder import LINES, Decoder, Lines, Settings, decode
 from rig.record import Identity, Samples
 from rig.room import Room
+from rig.signals.encoder import LINES, Decoder, Lines, Settings, decode
 
 MESSAGES: tuple[str, ...] = ()
 """The encoder cannot be spoken to."""

@@ -16,16 +16,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.archive.records import Recorded, Records
 from rig.errors import BadInput
 from rig.model import Quantity, Term
-from rig.records import Recorded, Records
 
 if TYPE_CHECKING:
-    from rig.estimate.conclusion import Conclusion
-    from rig.estimate.fit import Fit
-    from rig.estimate.misfit import Comparison
-    from rig.model_file import Model as ModelFile
-    from rig.model_file import Start, Step
+    from rig.diagnose.conclusion import Conclusion
+    from rig.diagnose.misfit import Comparison
+    from rig.fit.fit import Fit
+    from rig.repair.model_file import Model as ModelFile
+    from rig.repair.model_file import Start, Step
 
 
 def open_run(path: str | Path) -> Records:
@@ -35,7 +35,7 @@ def open_run(path: str | Path) -> Records:
     one record of the converter: `counts` of shape (scans, channels), `volts(channel)` in V of shape (scans,),
     `instants(channel)` in s of shape (scans,). Raises BadInput if there is no such run.
     """
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
 
     path = Path(path)
     return Records(Runs(path.parent).open(path.name))
@@ -43,7 +43,7 @@ def open_run(path: str | Path) -> Records:
 
 def records_of(names: Sequence[str], runs: Path) -> list[Records]:
     """Runs of a folder by name, `last`, or `all` for every completed one, each once. Raises BadInput."""
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
 
     archive = Runs(runs)
     if tuple(names) == ("all",):
@@ -62,7 +62,7 @@ class Model:
     """
 
     def __init__(self, *runs: str | Path | Recorded, start: Start = "datasheet", effects: Path | None = None) -> None:
-        from rig import repair
+        from rig.repair import repair
         from rig.shelf import shelf
 
         if not runs:
@@ -73,7 +73,7 @@ class Model:
 
     @property
     def file(self) -> ModelFile:
-        """The model as a value that `rig.model_file.save` writes: effects, uncertainties, covariance, history."""
+        """The model as a value that `model_file.save` writes: effects, uncertainties, covariance, history."""
         return self._done.model
 
     @property
@@ -93,27 +93,27 @@ class Model:
 
     def compare(self) -> Comparison:
         """Error against noise by group of rows: `groups`, `worst` conditions in words, tests of whiteness."""
-        from rig.estimate.misfit import compare
+        from rig.diagnose.misfit import compare
 
         return compare(self._bench.evidence, self.terms, self._done.model.poles, self._done.model.shared)
 
     def diagnose(self) -> Conclusion:
         """What is missing: `verdict`, `candidates` best first with parameters (SI value, unit, u), `cannot_see`."""
-        from rig.estimate.conclusion import conclude
+        from rig.diagnose.conclusion import conclude
 
         model = self._done.model
         return conclude(self._bench.evidence, self.terms, self._bench.shelf, poles=model.poles, shared=model.shared)
 
     def add(self, name: str, on: Quantity | None = None, *, formula: str | None = None) -> Model:
         """Add an effect of the shelf, or a term by formula (`k * omega**2`), and refit. Raises BadInput."""
-        from rig import repair
+        from rig.repair import repair
 
         self._done = repair.added(self._bench, self._done.model, name, on, formula)
         return self
 
     def remove(self, name: str, on: Quantity | None = None) -> Model:
         """Take an effect out and refit. Raises BadInput if it is not in the model."""
-        from rig import repair
+        from rig.repair import repair
 
         self._done = repair.removed(self._bench, self._done.model, name, on)
         return self

@@ -18,9 +18,9 @@ import fast_bench
 from blind_scores import Row, Trial, share
 from blind_worlds import Answer
 
-from rig.estimate.diagnose import Diagnosis, diagnose
-from rig.estimate.evidence import evidence_of
-from rig.estimate.experiments import Ranked, ranked
+from rig.diagnose.diagnose import Diagnosis, diagnose
+from rig.diagnose.next_measurement import Ranked, ranked
+from rig.fit.evidence import evidence_of
 
 FOLDER = "next"
 SUBSET = 100  # worlds of a whole study

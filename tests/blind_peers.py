@@ -23,10 +23,10 @@ from blind_scores import share
 from blind_worlds import Answer, Case
 from numpy.typing import NDArray
 
-from rig.estimate import fit as fitting
-from rig.estimate import search
-from rig.estimate.evidence import evidence_of
-from rig.estimate.fit import Fit
+from rig.diagnose import search
+from rig.fit import fit as fitting
+from rig.fit.evidence import evidence_of
+from rig.fit.fit import Fit
 from rig.model import Term
 from rig.shelf import shelf as shelf_of
 

@@ -20,13 +20,13 @@ from fast_bench import MemoryRecords
 
 from fixtures.shelf import SHELF
 from fixtures.world import World
+from rig.diagnose import search
+from rig.diagnose.diagnose import Diagnosis, diagnose
 from rig.errors import BadInput
-from rig.estimate import fit as fitting
-from rig.estimate import search
-from rig.estimate.diagnose import Diagnosis, diagnose
-from rig.estimate.evidence import Evidence, evidence_of
-from rig.estimate.fit import Fit
-from rig.estimate.floor import floor_of, with_floor
+from rig.fit import fit as fitting
+from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.fit import Fit
+from rig.fit.floor import floor_of, with_floor
 from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 

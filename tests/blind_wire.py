@@ -25,7 +25,7 @@ from blind_scores import LARGEST_CLASS, Row, share
 from rig.bench import control
 from rig.bench.assembly import state_folder
 from rig.bench.benchfile import describe
-from rig.config import shipped
+from rig.yaml.config import shipped
 
 BENCH = "benches/simulated.yaml"
 WORLDS, LEAST = 20, 2  # of a whole study (30 worlds for each effect); of the smallest

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from rig.estimate.budget import Budget, Contribution
-from rig.estimate.calibration import DEGREE, Calibration, G, PaperRow, ResponsePoint, Result, Source, not_determined
-from rig.estimate.verdict import verdict
+from rig.calibrate.budget import Budget, Contribution
+from rig.calibrate.calibration import Calibration, PaperRow, ResponsePoint, Result, Source, not_determined
+from rig.calibrate.verdict import verdict
+from rig.printed import DEGREE, G
 
 ACCELEROMETERS = tuple(f"unit_{unit}_{axis}" for unit in "abc" for axis in "xyz")
 GYROS = ("gyro_pitch", "gyro_roll", "gyro_yaw", "backup_pitch", "backup_roll", "backup_yaw")

@@ -25,16 +25,16 @@ from drivers import ofv3001
 from fixtures import spectra
 from fixtures.das16jr_board import RANGES
 from fixtures.world import Refused, World
-from rig import document as documents
-from rig import journal
+from rig.archive import journal
+from rig.archive.journal import BlockRef, Entry
+from rig.archive.records import Signals
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
 from rig.errors import ConfigError, OperatorRefused
-from rig.journal import BlockRef, Entry
 from rig.record import Channel, Identity, Response, Samples, Timing, Traces
-from rig.records import Signals
 from rig.room import Confirmation, Request, Room
+from rig.yaml import document as documents
 
 BENCH = Path(__file__).parents[1] / "configs" / "benches" / "simulated.yaml"
 WORLD = Path(__file__).parents[1] / "configs" / "worlds" / "clean.yaml"
@@ -340,7 +340,7 @@ class NoGuard:
 
 @dataclass
 class MemoryRecords:
-    """A run in memory with what the analysis reads of a run: see `rig.records.Recorded`.
+    """A run in memory with what the analysis reads of a run: see `rig.archive.records.Recorded`.
 
     `lines` are journal entries as they would be read back from a file; `points` the bodies of points done, by index.
     """
@@ -390,7 +390,7 @@ class MemoryRecords:
 
 
 class MemoryWriter:
-    """The writing side of a run: see `rig.run_writer.RunWriter`."""
+    """The writing side of a run: see `rig.archive.writer.RunWriter`."""
 
     path = Path("memory")  # where a run on the disk would be; nothing is written
 

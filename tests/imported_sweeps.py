@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.foreign import Foreign, Table
-from rig.manifest import Manifest
+from rig.foreign.manifest import Manifest
+from rig.foreign.tables import Foreign, Table
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

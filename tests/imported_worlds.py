@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rig.estimate.evidence import Evidence
-from rig.estimate.imported import parts_of
-from rig.estimate.tabled import Tabled
-from rig.foreign import Foreign, Table
-from rig.manifest import Manifest
+from rig.fit.evidence import Evidence
+from rig.foreign.manifest import Manifest
+from rig.foreign.tables import Foreign, Table
 from rig.model import Term
+from rig.parts.part import Tabled
+from rig.parts.reading.imported import parts_of
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from rig.estimate.parameters import Estimate
+from rig.fit.parameters import Estimate
 
 ROOT = Path(__file__).parents[1]
 IMPORTS = ROOT / "configs" / "imports"

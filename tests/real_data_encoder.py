@@ -22,10 +22,10 @@ from real_data_desk import (
     worst,
 )
 
-from rig.foreign import Foreign, foreign_of
-from rig.foreign_pairs import running
+from rig.foreign.pairs import running
+from rig.foreign.tables import Foreign, foreign_of
 from rig.notebook import open_run
-from rig.spectrum import welch
+from rig.signals.spectrum import welch
 
 Array = NDArray[np.float64]
 YAW = ("reference_tilt", "delay --on rate")
@@ -98,7 +98,7 @@ def _arm(here: Desk) -> str:
     arm = next((one for one in found if one["effect"] == "lever_arm"), None)
     if arm is None:
         return "The diagnosis of the repaired model proposes nothing more."
-    from rig.estimate.parameters import Estimate
+    from rig.fit.parameters import Estimate
 
     length = arm["parameters"]["length"]
     size = Estimate(length["value"], length["unit"], length["u"]).text
@@ -282,7 +282,7 @@ is also the one whose time stamps are logged worst.
 **Real motion above the band.** What is left in the gyros is not all error. A stepper pushes once per step; with
 a pair of unlike phases the push comes once in two full steps of 1.8°, so at the mean speed divided by 3.6° (that this
 motor has such steps is our guess; the line is not). We looked for that line in the records, with the program's own
-spectra (`rig.open_run`, `rig.spectrum.welch`, segments of ten seconds):
+spectra (`rig.open_run`, `rig.signals.spectrum.welch`, segments of ten seconds):
 
 {lines}
 

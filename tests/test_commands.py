@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from rig.archive import Runs
+from rig.archive.runs import Runs
 from rig.bench.assembly import start_simulated, state_folder
 from rig.bench.benchfile import describe
 from rig.bench.control import Control, stop
-from rig.config import shipped
+from rig.yaml.config import shipped
 
 SHORT = ("--axis", "x", "--points", "2")
 

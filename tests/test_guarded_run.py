@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from rig.archive import Runs
+from rig.archive.runs import Runs
 from rig.bench.control import Control, served, stop
 
 BAR = 0.100  # s, real time, from the signal to the twin's own `source off`

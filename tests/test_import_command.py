@@ -129,9 +129,9 @@ def test_real_data_come_in_with_what_is_known_of_them(tmp_path: Path, name: str)
 
 
 def test_numbers_of_a_real_file_are_kept_to_the_bit(tmp_path: Path) -> None:
-    from rig.archive import Runs
-    from rig.foreign import foreign_of
-    from rig.records import Records
+    from rig.archive.records import Records
+    from rig.archive.runs import Runs
+    from rig.foreign.tables import foreign_of
 
     path = made.real("imucal-ferraris/example_ferraris_session.csv")
     rig(tmp_path, "import", str(SHIPPED / "ferraris-session.yaml"), "--data", str(made.REAL))

@@ -22,8 +22,8 @@ from rig.bench import control
 from rig.bench.assembly import state_folder
 from rig.bench.benchfile import describe
 from rig.cli import cli
-from rig.config import shipped
 from rig.errors import BadInput
+from rig.yaml.config import shipped
 
 CUBIC = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
 REMOUNTS = {

@@ -19,7 +19,7 @@ from real_data_encoder import push_of
 from real_data_motion import wide_manifest
 from real_data_poses import turns
 
-from rig.foreign import foreign_of
+from rig.foreign.tables import foreign_of
 from rig.notebook import open_run
 
 DATA = Path(os.environ.get("RIG_REAL_DATA", str(ROOT.parent / "shared" / "data")))

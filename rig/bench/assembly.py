@@ -10,16 +10,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from rig import config
 from rig.bench.benchfile import BenchDescription, filled
 from rig.bench.clock import SystemClock
 from rig.bench.control import BenchClock, BenchOperator, Control, ensure_served
 from rig.bench.guard import Charge, load_driver
 from rig.bench.operators import AnswersOperator, TerminalOperator
 from rig.bench.roles import Energises, Instrument
-from rig.document import Document, read
 from rig.errors import BadInput, ConfigError, Problem
 from rig.room import NoTranscript, Room, Transcript
+from rig.yaml import config
+from rig.yaml.document import Document, read
 
 
 @dataclass(frozen=True)

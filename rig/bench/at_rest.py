@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from rig.archive.writer import BlockStream
 from rig.bench import at_shaker
 from rig.bench.station import Station, samples_meta
 from rig.bench.steps import Ask, Static, Wait
 from rig.record import Samples
-from rig.run_writer import BlockStream
 
 CHUNK = 1.0  # s; nothing longer than this is held in memory
 

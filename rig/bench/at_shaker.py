@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from rig import tone
 from rig.bench.station import Station
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
 from rig.errors import SignalLow, SignalOverload, VerdictNotMet
 from rig.record import CubeSamples, Response, Samples, Traces
+from rig.signals import tone
 
 RISING, FAR = 600.0, 1.12  # Hz above which a constant holds no further than this ratio upwards
 FIRST_APPROACH = 0.1  # share of the wanted drive where the drive constant is not known yet

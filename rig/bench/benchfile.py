@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from rig import config, units
+from rig import units
 from rig.bench.steps import BenchFacts, Limits
 from rig.errors import StandardOverdue
 from rig.units import Acceleration, Angle, Frequency, Length, PeakVoltage, Ratio, Velocity, Voltage
+from rig.yaml import config
 
 Role = Literal["analyzer", "scope", "recorder", "vibrometer", "cube", "filter", "encoder", "turntable"]
 

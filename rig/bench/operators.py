@@ -10,9 +10,9 @@ from typing import TextIO
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
-from rig import config
 from rig.errors import OperatorMissing, OperatorRefused
 from rig.room import Clock, Confirmation, Request, Value
+from rig.yaml import config
 
 _NO = frozenset({"n", "no"})
 

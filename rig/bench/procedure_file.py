@@ -11,12 +11,12 @@ from typing import Annotated, Any, Union, cast
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, create_model
 
-from rig import config
 from rig.bench.steps import Ask, BenchFacts, Mistake, Plan, Step, Wait
-from rig.document import Document, KeyPath
 from rig.errors import ConfigError, Problem
 from rig.room import Request
 from rig.units import Time
+from rig.yaml import config
+from rig.yaml.document import Document, KeyPath
 
 # How the reader tells kinds apart; none of them is a key, so that a mistake's path is never taken for one.
 PROMPT, WAIT, REPEAT, SEQUENCE = "a prompt", "a wait", "a repetition", "a sequence"

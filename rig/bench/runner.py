@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rig import config
-from rig.archive import Runs
+from rig.archive.runs import Runs
+from rig.archive.writer import RunWriter
 from rig.bench import at_rest, at_shaker, at_turntable
 from rig.bench.assembly import Bench, connected
 from rig.bench.benchfile import BenchDescription
@@ -21,7 +21,7 @@ from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static,
 from rig.bench.stopping import stoppable, uninterrupted
 from rig.bench.transcript import RunTranscript
 from rig.errors import BadInput, InstrumentError, VerdictNotMet, WorkFailed
-from rig.run_writer import RunWriter
+from rig.yaml import config
 
 PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
 STEADY_SETTINGS = frozenset(

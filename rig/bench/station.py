@@ -13,12 +13,12 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.archive.writer import RunWriter
 from rig.bench.benchfile import BenchDescription
 from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
 from rig.errors import BadInput, InstrumentError
 from rig.record import CubeSamples, Samples
 from rig.room import Confirmation, Request, Room
-from rig.run_writer import RunWriter
 
 
 class Heartbeat(Protocol):

@@ -7,11 +7,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rig.archive.durable import write_whole
+from rig.calibrate.budget import coverage_factor
+from rig.calibrate.calibration import PROBABILITY, Calibration, ResponsePoint, Result
 from rig.certificate.document import COVERAGE, DECISION, Document, document, flat, printable, standard_rows
-from rig.durable import write_whole
 from rig.errors import BadInput
-from rig.estimate.budget import coverage_factor
-from rig.estimate.calibration import PROBABILITY, Calibration, ResponsePoint, Result
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 

@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from rig.calibrate.calibration import Calibration, Result, shown
 from rig.errors import BadInput
-from rig.estimate.calibration import SHOWN, Calibration, Result, rounded, shown
+from rig.printed import SHOWN, rounded
 
 COVERAGE = (
     "The reported expanded uncertainty U is the standard uncertainty multiplied by the coverage factor k given with "

@@ -15,10 +15,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from rig.archive.durable import write_whole
+from rig.calibrate.calibration import Calibration, Result
 from rig.certificate.document import COVERAGE, DECISION, document, flat, limits, printed, standard_rows
-from rig.durable import write_whole
 from rig.errors import BadInput
-from rig.estimate.calibration import SHOWN, Calibration, Result
+from rig.printed import SHOWN
 
 TEMPLATE = Path(__file__).with_name("certificate.typ")
 MOST_PAGES = 3

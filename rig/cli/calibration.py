@@ -11,8 +11,8 @@ import click
 from rig.cli.options import json_option, print_json, runs_option
 
 if TYPE_CHECKING:
-    from rig.estimate.calibration import Calibration, Result
-    from rig.records import Records
+    from rig.archive.records import Records
+    from rig.calibrate.calibration import Calibration, Result
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 NAME = click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
@@ -31,7 +31,7 @@ def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs:
     RUN is a run's name, `last`, or `all` for every completed run in the folder. The calibration is written to
     calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
     """
-    from rig.estimate.calibration import path_of, save
+    from rig.calibrate.calibration import path_of, save
 
     made, _ = _calibrated(names, runs, name)
     path = path_of(runs, made.name)
@@ -51,7 +51,7 @@ def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs:
 
 def _intervals(made: Calibration) -> list[dict[str, Any]]:
     """Monte Carlo intervals beside the budgets' ones, SI."""
-    from rig.estimate.checking import checked
+    from rig.calibrate.checking import checked
 
     return [
         {
@@ -84,10 +84,10 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
 
     Exit code 3 if a value does not keep its limits; both documents are written all the same.
     """
+    from rig.calibrate.calibration import path_of, save
     from rig.certificate.dcc import write_dcc
     from rig.certificate.pdf import write_pdf
-    from rig.estimate.calibration import path_of, save
-    from rig.figures import svg_of_response
+    from rig.report.run_figures import svg_of_response
 
     made, _ = _calibrated(names, runs, name)
     path = path_of(runs, made.name)
@@ -131,7 +131,7 @@ def export(
     as_json: bool,
 ) -> None:
     """Write calibration NAME as Kalibr or ROS 2 YAML, CSV, MAT (v5), HDF5 or a Python module without dependencies."""
-    from rig.estimate.calibration import load, path_of
+    from rig.calibrate.calibration import load, path_of
     from rig.export import write
 
     made = load(path_of(runs, name))
@@ -189,9 +189,9 @@ def compare_calibrations(first: str, second: str, runs: Path, as_json: bool) -> 
 
     Errors of a standard that both share (same certificate) cancel in the difference and are left out of it.
     """
+    from rig.calibrate.calibration import load, path_of
+    from rig.calibrate.comparison import compare
     from rig.errors import BadInput
-    from rig.estimate.calibration import load, path_of
-    from rig.estimate.comparison import compare
 
     rows = compare(load(path_of(runs, first)), load(path_of(runs, second)))
     if not rows:
@@ -212,12 +212,12 @@ def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Cal
     import datetime as dt
     from dataclasses import replace
 
-    from rig.archive import Runs
-    from rig.estimate.calibrate import calibrate as merged
-    from rig.estimate.calibrate import digest_of
-    from rig.estimate.calibration import path_of
-    from rig.records import Records
-    from rig.run_writer import SEAL
+    from rig.archive.records import Records
+    from rig.archive.runs import Runs
+    from rig.archive.writer import SEAL
+    from rig.calibrate.calibrate import calibrate as merged
+    from rig.calibrate.calibrate import digest_of
+    from rig.calibrate.calibration import path_of
 
     archive = Runs(runs)
     if tuple(names) == ("all",):
@@ -240,7 +240,7 @@ SHOWN_FIRST = ("sensitivity", "sensitivity_gravity", "sensitivity_centripetal", 
 
 def text_of(made: Calibration) -> list[str]:
     """The table that a calibration prints: the main measurands of every channel, then what there is to say."""
-    from rig.estimate.calibration import text
+    from rig.calibrate.calibration import text
 
     mark = "  SIMULATED" if made.simulated else ""
     lines = [f"calibration {made.name} of {made.sensor} {made.serial}{mark}", ""]
@@ -292,8 +292,8 @@ def row_of(result: Result) -> dict[str, Any]:
 
 def _refuse_failed(made: Calibration) -> None:
     """Exit code 3 if a value is outside its limits by more than its uncertainty."""
+    from rig.calibrate.calibration import text
     from rig.errors import VerdictNotMet
-    from rig.estimate.calibration import text
 
     failed = [f"{r.key}: found {text(r)}, outside its limits" for r in made.results if r.verdict == "fail"]
     if failed:

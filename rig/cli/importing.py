@@ -10,8 +10,8 @@ import click
 from rig.cli.options import json_option, print_json, runs_option
 
 if TYPE_CHECKING:
-    from rig.importing import Read
-    from rig.manifest import Column
+    from rig.foreign.importing import Read
+    from rig.foreign.manifest import Column
 
 
 @click.command(name="import", short_help="Make a run out of other people's measurements.")
@@ -45,15 +45,15 @@ def import_(
 
 
 def _print_schema() -> None:
-    from rig.config import json_schema
-    from rig.manifest import Manifest
+    from rig.foreign.manifest import Manifest
+    from rig.yaml.config import json_schema
 
     print_json(json_schema(Manifest))
 
 
 def _import(manifest: Path, data: Path | None, runs: Path, dry_run: bool, as_json: bool) -> None:
-    from rig.archive import Runs
-    from rig.importing import keep, open_manifest
+    from rig.archive.runs import Runs
+    from rig.foreign.importing import keep, open_manifest
 
     read = open_manifest(manifest, data)
     name = None if dry_run else keep(read, Runs(runs))
@@ -70,7 +70,7 @@ def _import(manifest: Path, data: Path | None, runs: Path, dry_run: bool, as_jso
 
 def read_as_json(read: Read, name: str | None) -> dict[str, Any]:
     """What `rig import --json` prints."""
-    from rig.importing import rate_of
+    from rig.foreign.importing import rate_of
 
     data = read.data
     return {
@@ -90,7 +90,7 @@ def read_as_json(read: Read, name: str | None) -> dict[str, Any]:
 
 def read_text(read: Read) -> list[str]:
     """What was read, channel by role, and what is wrong with it."""
-    from rig.importing import KINDS, rate_of
+    from rig.foreign.importing import KINDS, rate_of
 
     made, data = read.manifest, read.data
     title = " ".join(part for part in (made.unit.maker, made.unit.model) if part)
@@ -129,7 +129,7 @@ def found_text(found: Any, several: bool) -> list[str]:
 
 
 def _guess(file: Path, output: Path | None, data: Path | None, as_json: bool) -> None:
-    from rig.guessing import guess
+    from rig.foreign.guessing import guess
 
     made = guess(file, data or (output.parent if output is not None else Path()))
     if as_json:

@@ -30,8 +30,8 @@ def init(folder: Path) -> None:
 def _examples() -> Iterator[tuple[Path, str]]:
     import importlib
 
-    from rig import config
     from rig.bench.procedure_file import file_model
+    from rig.yaml import config
 
     root = config.shipped("benches/simulated.yaml").parent.parent
     for path in sorted(root.rglob("*.yaml")):

@@ -13,9 +13,9 @@ from rig.cli.repair import EFFECTS, MODEL, RUN_NAMES, START, Opened, model_optio
 
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts
-    from rig.estimate.diagnose import Diagnosis
-    from rig.estimate.evidence import Evidence
-    from rig.estimate.experiments import Ranked
+    from rig.diagnose.diagnose import Diagnosis
+    from rig.diagnose.next_measurement import Ranked
+    from rig.fit.evidence import Evidence
 
 MOST_ROUNDS = 10
 STANDARD: tuple[dict[str, Any], ...] = (
@@ -33,8 +33,8 @@ def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
 
     Take the runs with: rig run remounts.yaml. The floor is written to floor.yaml under the runs folder.
     """
-    from rig.estimate.evidence import evidence_of
-    from rig.estimate.floor import floor_of, path_of, said, save
+    from rig.fit.evidence import evidence_of
+    from rig.fit.floor import floor_of, path_of, said, save
     from rig.notebook import records_of
 
     found = floor_of(evidence_of(records_of(names, runs)))
@@ -62,7 +62,7 @@ def next_(
     Power is the χ² between two rivals that is expected after the measurement; 16 decides. The procedure of the first is
     written as YAML.
     """
-    from rig.estimate.experiments import unmeasured
+    from rig.diagnose.next_measurement import unmeasured
 
     work = opened(names, runs, model, start, effects)
     diagnosis = _diagnosed(work)
@@ -87,8 +87,8 @@ globals()["next"] = next_  # the command's name is a built-in function's
 
 
 def _diagnosed(work: Opened) -> Diagnosis:
-    from rig.estimate.diagnose import diagnose
-    from rig.model_file import terms_of
+    from rig.diagnose.diagnose import diagnose
+    from rig.repair.model_file import terms_of
 
     terms = terms_of(work.model, work.bench.shelf)
     model = work.model
@@ -115,8 +115,8 @@ def _next_after(
 
 
 def _ranked(diagnosis: Diagnosis, runs: Path) -> list[Ranked]:
-    from rig.estimate import floor
-    from rig.estimate.experiments import ranked
+    from rig.diagnose.next_measurement import ranked
+    from rig.fit import floor
 
     return ranked(diagnosis, floor.load(floor.path_of(runs)))
 
@@ -141,7 +141,7 @@ def _facts(bench: Path | None) -> BenchFacts:
 def _document(body: Any) -> Any:
     import yaml
 
-    from rig import document
+    from rig.yaml import document
 
     return document.read_text(yaml.safe_dump(dict(body), allow_unicode=True, sort_keys=False), "(next measurement)")
 
@@ -304,7 +304,7 @@ class _Loop:
     def settled(self) -> str:
         """Diagnose, add, and measure again until nothing is left to do; the last verdict."""
         from rig.cli.repair import verdict_text
-        from rig.estimate.conclusion import concluded
+        from rig.diagnose.conclusion import concluded
 
         for _ in range(MOST_ROUNDS):
             work = opened(self.names, self._runs, self._model, self._start, self._effects)
@@ -332,7 +332,7 @@ class _Loop:
 
     def _leaves_open(self, diagnosis: Diagnosis) -> None:
         """Note the effects between which nothing was decided."""
-        from rig.estimate.experiments import rivals
+        from rig.diagnose.next_measurement import rivals
 
         names = list(dict.fromkeys(one.name for one in rivals(diagnosis)))
         if len(names) > 1:
@@ -341,15 +341,15 @@ class _Loop:
 
     def _keeps(self, work: Opened) -> None:
         """Write the model, refitted to all runs."""
-        from rig.model_file import save
-        from rig.repair import fitted
+        from rig.repair.model_file import save
+        from rig.repair.repair import fitted
 
         if set(work.model.runs) != set(work.bench.evidence.runs) or not work.path.exists():
             save(work.path, fitted(work.bench, work.model).model)
 
     def _adds(self, work: Opened, diagnosis: Diagnosis) -> bool:
-        from rig.model_file import save
-        from rig.repair import added
+        from rig.repair.model_file import save
+        from rig.repair.repair import added
 
         taken = diagnosis.steps[0].taken
         self._say(f"add: {taken.name}")
@@ -417,7 +417,7 @@ def hidden(ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: P
 def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
     """The steps that a person would take, one after another, on a model of this demonstration's own."""
     from rig.cli import repair
-    from rig.model_file import path_of
+    from rig.repair.model_file import path_of
 
     path = path_of(runs, f"demo-{names[0]}")
     words = f"{' '.join(names)} --model {path}"

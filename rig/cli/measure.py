@@ -12,7 +12,7 @@ from rig.cli.options import bench_option, bench_path, json_option, print_json, r
 if TYPE_CHECKING:
     from rig.bench.runner import Order, Outcome
     from rig.bench.steps import Plan
-    from rig.document import Document
+    from rig.yaml.document import Document
 
 
 def measuring(command: Any) -> Any:
@@ -90,7 +90,7 @@ def tumble(poses: str, **options: Any) -> None:
 @measuring
 def run(file: Path, **options: Any) -> None:
     """Run a technician's procedure or sequence of procedures."""
-    from rig import document
+    from rig.yaml import document
 
     _measure(document.read(_procedure_path(file)), file.stem, options)
 
@@ -102,7 +102,7 @@ def run(file: Path, **options: Any) -> None:
 @json_option
 def resume(name: str, **options: Any) -> None:
     """Check the instruments, repeat the last point, and go on with the rest."""
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
     from rig.bench import runner
 
     found = Runs(options["runs"]).open(name)
@@ -131,7 +131,7 @@ def _document(body: dict[str, Any]) -> Document:
     """A procedure given on the command line, as the YAML file that would say the same."""
     import yaml
 
-    from rig import document
+    from rig.yaml import document
 
     return document.read_text(yaml.safe_dump(dict(body), allow_unicode=True, sort_keys=False), "(command line)")
 

@@ -44,7 +44,7 @@ def json_option(command: F) -> F:
 
 def bench_path(given: Path | None) -> Path:
     """The bench file that the options mean."""
-    from rig.config import shipped
+    from rig.yaml.config import shipped
 
     if given is not None:
         return given

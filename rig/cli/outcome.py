@@ -11,21 +11,21 @@ from rig.cli.options import print_json
 from rig.cli.progress import duration_text
 
 if TYPE_CHECKING:
+    from rig.archive.reader import Run
+    from rig.archive.records import Records
     from rig.bench.runner import Order, Outcome
     from rig.bench.steps import Plan, Sine, Step
-    from rig.estimate.calibration import Calibration, Result
-    from rig.records import Records
-    from rig.run_reader import Run
+    from rig.calibrate.calibration import Calibration, Result
 
 KEY_MEASURANDS = ("sensitivity", "sensitivity_gravity")
 
 
 def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     """Print what a finished run came to; raises VerdictNotMet if an `expect` of the procedure is not met."""
-    from rig.archive import Runs
+    from rig.archive.records import Records
+    from rig.archive.runs import Runs
     from rig.cli.calibration import row_of
-    from rig.figures import draw
-    from rig.records import Records
+    from rig.report.run_figures import draw
 
     run = Runs(order.runs).open(done.name)
     records = Records(run)
@@ -55,8 +55,8 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
 
 def concluded(records: Records) -> tuple[Calibration | None, str]:
     """The calibration that this run alone gives, or None and why there is none."""
+    from rig.calibrate.calibrate import calibrate
     from rig.errors import BadInput
-    from rig.estimate.calibrate import calibrate
 
     try:
         return calibrate([records], records.name), ""
@@ -80,8 +80,8 @@ def _print_ending(done: Outcome, figure: list[Path], run: Run) -> None:
 
 def run_as_text(run: Run) -> str:
     """A run for a reader: what it is, how far it came, its table."""
-    from rig.foreign import is_foreign
-    from rig.records import Records
+    from rig.archive.records import Records
+    from rig.foreign.tables import is_foreign
 
     records = Records(run)
     if is_foreign(records):
@@ -91,7 +91,7 @@ def run_as_text(run: Run) -> str:
 
 def _imported_lines(records: Records) -> list[str]:
     """An imported run: its files, what was found on import, and where the data come from."""
-    from rig.foreign import foreign_of
+    from rig.foreign.tables import foreign_of
 
     data = foreign_of(records)
     made, summary = data.manifest, records.run.summary()
@@ -102,7 +102,7 @@ def _imported_lines(records: Records) -> list[str]:
     lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
     lines += [f"  found on import: {text}" for text in data.found]
     if made.kind == "static":
-        from rig.estimate.foreign_rest import at_rest
+        from rig.parts.reading.rest import at_rest
 
         noises = (f"  {one.in_words}" for one in at_rest(data))
         return [*lines, *noises, "next: rig import MANIFEST.yaml, a record of the same unit in motion"]
@@ -110,7 +110,7 @@ def _imported_lines(records: Records) -> list[str]:
 
 
 def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:
-    from rig.estimate.calibration import text
+    from rig.calibrate.calibration import text
 
     summary = run.summary()
     mark = "  SIMULATED" if summary["simulated"] else ""

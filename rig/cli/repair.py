@@ -13,11 +13,11 @@ import click
 from rig.cli.options import json_option, print_json, runs_option
 
 if TYPE_CHECKING:
-    from rig.estimate.conclusion import Candidate, Conclusion
-    from rig.estimate.misfit import Comparison, Condition, Group
-    from rig.estimate.prediction import Prediction
-    from rig.model_file import Model, Step
-    from rig.repair import Bench, Repaired
+    from rig.diagnose.conclusion import Candidate, Conclusion
+    from rig.diagnose.misfit import Comparison, Condition, Group
+    from rig.diagnose.prediction import Prediction
+    from rig.repair.model_file import Model, Step
+    from rig.repair.repair import Bench, Repaired
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -74,10 +74,10 @@ class Opened:
 
 def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, effects: Path | None) -> Opened:
     """Runs and model by the options that the commands share. Raises BadInput."""
-    from rig.estimate import floor
-    from rig.model_file import path_of
+    from rig.fit import floor
     from rig.notebook import records_of
-    from rig.repair import bench_of, model_at
+    from rig.repair.model_file import path_of
+    from rig.repair.repair import bench_of, model_at
     from rig.shelf import shelf
 
     bench = bench_of(records_of(names, runs), shelf(effects), floor.load(floor.path_of(runs)))
@@ -98,7 +98,7 @@ def compare(
     RUN is a run's name, `last`, or `all` for every completed run in the folder. Without a model file the data sheet's
     model is compared. Figures go to reports/<first run>/ under the runs folder.
     """
-    from rig.misfit_figures import draw
+    from rig.report.misfit_figures import draw
 
     work = opened(names, runs, model, start, effects)
     if as_is:
@@ -119,9 +119,9 @@ def compare(
 
 def _predict(work: Opened, as_json: bool) -> None:
     """Compare with the model's values held, and say what a level of its own for every channel would explain."""
+    from rig.diagnose.prediction import predict
     from rig.errors import BadInput
-    from rig.estimate.prediction import predict
-    from rig.model_file import terms_of
+    from rig.repair.model_file import terms_of
 
     model = work.model
     if not model.channels:
@@ -162,8 +162,8 @@ def _notes_text(work: Opened) -> list[str]:
 
 
 def _compared(work: Opened, model: Model) -> Comparison:
-    from rig.estimate.misfit import compare as compared
-    from rig.model_file import terms_of
+    from rig.diagnose.misfit import compare as compared
+    from rig.repair.model_file import terms_of
 
     return compared(work.bench.evidence, terms_of(model, work.bench.shelf), model.poles, model.shared)
 
@@ -204,7 +204,7 @@ def fit(
     names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
 ) -> None:
     """Fit the model to runs, or start one, and write it with values, uncertainties, covariance and history."""
-    from rig.repair import fitted
+    from rig.repair.repair import fitted
 
     work = opened(names, runs, model, start, effects)
     _conclude(work, fitted(work.bench, work.model), as_json, f"rig diagnose {work.words}")
@@ -221,8 +221,8 @@ def diagnose(
     Several are found one after another. If nothing on the shelf brings the error to the noise, the answer is
     `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
     """
-    from rig.estimate.conclusion import conclude
-    from rig.model_file import terms_of
+    from rig.diagnose.conclusion import conclude
+    from rig.repair.model_file import terms_of
 
     work = opened(names, runs, model, start, effects)
     shelf = work.bench.shelf
@@ -336,7 +336,7 @@ def add(
 
     Prints the errors before and after, on fitted and on held-out data.
     """
-    from rig.repair import added
+    from rig.repair.repair import added
 
     work = opened(names, runs, model, start, effects)
     _conclude(work, added(work.bench, work.model, effect, on, formula), as_json, f"rig diagnose {work.words}")
@@ -352,7 +352,7 @@ def remove(
     runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Take EFFECT out of the model, refit, and write the model with one more step of history."""
-    from rig.repair import removed
+    from rig.repair.repair import removed
 
     work = opened(names, runs, model, start, effects)
     _conclude(work, removed(work.bench, work.model, effect, on), as_json, f"rig diagnose {work.words}")
@@ -360,7 +360,7 @@ def remove(
 
 def _conclude(work: Opened, made: Repaired, as_json: bool, then: str) -> None:
     """Keep the model and say what became of it."""
-    from rig.model_file import save
+    from rig.repair.model_file import save
 
     save(work.path, made.model)
     if as_json:
@@ -388,7 +388,7 @@ def repaired_as_json(path: Path, made: Repaired) -> dict[str, Any]:
 
 def repaired_text(made: Repaired) -> list[str]:
     """The effects of a model after a step, and its errors before and after."""
-    from rig.estimate.parameters import Estimate
+    from rig.fit.parameters import Estimate
 
     mark = "  SIMULATED" if made.model.simulated else ""
     done = " ".join(part for part in (made.after.action, made.after.effect) if part)
@@ -402,7 +402,7 @@ def repaired_text(made: Repaired) -> list[str]:
 
 def _errors_text(made: Repaired) -> list[str]:
     """Errors before and after a step, over everything and where they were worst."""
-    from rig.estimate.quality import error_at
+    from rig.fit.quality import error_at
 
     before, after = made.before, made.after
     if before is after:
@@ -429,8 +429,8 @@ def history(names: tuple[str, ...], model: Path | None, runs: Path, as_json: boo
 
     RUN says whose unit's model is meant [default: last]; with --model it is not needed.
     """
-    from rig.ladder_figure import draw
-    from rig.model_file import load
+    from rig.repair.ladder_figure import draw
+    from rig.repair.model_file import load
 
     path = model or _model_of(names or ("last",), runs)
     found = load(path)
@@ -450,8 +450,8 @@ def history(names: tuple[str, ...], model: Path | None, runs: Path, as_json: boo
 
 def _model_of(names: Sequence[str], runs: Path) -> Path:
     """The model file of the unit that a run measured."""
-    from rig.model_file import path_of
     from rig.notebook import records_of
+    from rig.repair.model_file import path_of
 
     return path_of(runs, str(records_of(names, runs)[0].header["sensor"]["serial"]))
 

@@ -15,7 +15,7 @@ from rig.cli.options import json_option, print_json, runs_option
 @json_option
 def runs(runs: Path, as_json: bool) -> None:
     """List the runs, oldest first."""
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
 
     rows = [run.summary() for run in Runs(runs).list()]
     if as_json:
@@ -39,7 +39,7 @@ def runs(runs: Path, as_json: bool) -> None:
 @json_option
 def show(name: str, runs: Path, as_json: bool) -> None:
     """Show one run: what it is, how far it came, and what was measured. `last` is the newest."""
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
     from rig.cli import outcome
 
     run = Runs(runs).open(name)
@@ -55,7 +55,7 @@ def show(name: str, runs: Path, as_json: bool) -> None:
 @json_option
 def verify(name: str, runs: Path, as_json: bool) -> None:
     """Check every digest of a run; exit code 1 if anything does not agree."""
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
     from rig.errors import ArchiveError
 
     run = Runs(runs).open(name)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from rig.durable import keeping, write_whole
+from rig.archive.durable import keeping, write_whole
+from rig.calibrate.calibration import Calibration, path_of
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration, path_of
 from rig.export import hdf5, kalibr, matlab, python_module, ros2, table
 from rig.export.selection import Choice
 

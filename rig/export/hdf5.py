@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.estimate.budget import Contribution
-from rig.estimate.calibration import Calibration, PaperRow, ResponsePoint, Result, Source
+from rig.calibrate.budget import Contribution
+from rig.calibrate.calibration import Calibration, PaperRow, ResponsePoint, Result, Source
 from rig.export.selection import Choice, is_simulated
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
+from rig.calibrate.calibration import Calibration, Result
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration, Result
 from rig.export.selection import Choice, one_line, provenance, stated, value_of, worst, yaml_float
 
 # key in the file: (measurand, unit in the file, is it the accelerometers')

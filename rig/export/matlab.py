@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.calibrate.calibration import Calibration, ResponsePoint, Result
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration, ResponsePoint, Result
 from rig.export.selection import Choice, is_simulated, one_line
 
 FORMAT = 1

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
+from rig.calibrate.calibration import Calibration, Result
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration, Result
 from rig.export.selection import (
     GYROS,
     UNITS,

@@ -12,8 +12,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 
+from rig.calibrate.calibration import Calibration
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration
 from rig.export.selection import Choice, channels_of, cross_axis, needed, provenance, stated, value_of, yaml_float
 
 UNKNOWN = [-1.0] + [0.0] * 8  # sensor_msgs/msg/Imu: element 0 is -1 where there is no estimate

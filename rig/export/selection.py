@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
+from rig.calibrate.calibration import Calibration, Result, text
 from rig.errors import BadInput
-from rig.estimate.calibration import Calibration, Result, text
 
 AXES = ("x", "y", "z")
 ROTATIONS = ("roll", "yaw", "pitch")  # about x, y, z

@@ -11,7 +11,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 
-from rig.estimate.calibration import Calibration, ResponsePoint, Result, shown
+from rig.calibrate.calibration import Calibration, ResponsePoint, Result, shown
 from rig.export.selection import Choice
 
 Cell = str | float | bool | None

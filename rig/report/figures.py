@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.estimate import paper_method
-from rig.estimate.calibration import DEGREE, Calibration, Result, text
-from rig.estimate.paper_method import (
+from rig.archive.records import Recorded, Signals, signals_of
+from rig.calibrate import paper_method
+from rig.calibrate.calibration import Calibration, Result, text
+from rig.calibrate.paper_method import (
     AVERAGED,
     CROSS_AXIS,
     NOMINAL_ZERO,
@@ -26,10 +27,10 @@ from rig.estimate.paper_method import (
     nominal_sensitivity,
     volts_about_zero,
 )
-from rig.figures import COLOURS
+from rig.printed import DEGREE
 from rig.record import Samples
-from rig.records import Recorded, Signals, signals_of
-from rig.rotation import Edges, Track, edges_of, encoder_settings, graduation_map
+from rig.report.run_figures import COLOURS
+from rig.signals.rotation import Edges, Track, edges_of, encoder_settings, graduation_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -410,7 +411,7 @@ def _plain_ticks(ax: Any) -> None:
 
 def allan_deviation(runs: Sequence[Recorded]) -> Drawing | None:
     """Overlapping Allan deviation of one sensor of each kind at rest."""
-    from rig import allan
+    from rig.signals import allan
 
     found = [(run, e.body) for run in runs for e in run.lines
              if e.kind == "point" and e.body.get("purpose") == "noise" and "samples" in e.body]  # fmt: skip

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig.archive.records import Recorded
+from rig.calibrate.budget import Contribution
+from rig.calibrate.calibration import Calibration, PaperRow, Result, shown, text
 from rig.errors import BadInput
-from rig.estimate.budget import Contribution
-from rig.estimate.calibration import SHOWN, Calibration, PaperRow, Result, rounded, shown, text
-from rig.records import Recorded
+from rig.printed import SHOWN, rounded
 from rig.report import figures
 from rig.report.figures import PLANS, Drawing
 
@@ -67,7 +68,7 @@ def write_report(calibration: Calibration, runs: Sequence[Recorded], path: Path)
 
     Raises OSError if the file cannot be written. The same calibration and runs give the same bytes.
     """
-    from rig.durable import write_whole
+    from rig.archive.durable import write_whole
 
     write_whole(path, page(calibration, runs).encode())
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rig import allan
+from rig.signals import allan
 
 SAMPLES, TAUS, REPEATS = 10_000_000, 48, 3
 BAR = 3.0

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.archive import Runs
+from rig.archive.runs import Runs
 from rig.errors import LimitExceeded, SettingRefused
 
 POINTS = 2000

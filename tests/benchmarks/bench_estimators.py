@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from rig import tone
-from rig.line import fit_line
-from rig.rotation import KNOT, Edges, Track
+from rig.signals import tone
+from rig.signals.line import fit_line
+from rig.signals.rotation import KNOT, Edges, Track
 
 DRAWS = 2000
 WORST = 1.05

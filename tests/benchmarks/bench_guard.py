@@ -9,7 +9,7 @@ import threading
 import time
 from pathlib import Path
 
-from rig.archive import Runs
+from rig.archive.runs import Runs
 from rig.bench.control import Control, served
 
 KILLS = 50

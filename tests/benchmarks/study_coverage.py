@@ -20,12 +20,12 @@ from scipy.stats import binom
 
 from fixtures.noise import HIGHEST, PROCESSES, RATIO, STEP
 from fixtures.world import World
-from rig.estimate import accelerometers, calibrate, gyros
-from rig.estimate.calibration import Calibration, Result
-from rig.estimate.resting import LOWEST, Resting
-from rig.estimate.rotating import rotation_of
-from rig.noise import NoiseModel
-from rig.vibration import chain_of, sine_points
+from rig.calibrate import accelerometers, calibrate, gyros
+from rig.calibrate.calibration import Calibration, Result
+from rig.calibrate.resting import LOWEST, Resting
+from rig.parts.reading.revolutions import rotation_of
+from rig.parts.reading.vibration import chain_of, sine_points
+from rig.signals.noise import NoiseModel
 
 SEEDS = int(os.environ.get("RIG_SEEDS", "200"))
 GYROS = ("pitch", "roll", "yaw")
@@ -131,7 +131,7 @@ def _bounds(
 
 def made_noise(runs: list[fast_bench.MemoryRecords], name: str) -> Resting:
     """The noise that the calibration used."""
-    from rig.estimate.resting import noise_of
+    from rig.calibrate.resting import noise_of
 
     poles = {n: s.bandwidth for n, s in calibrate.sensors_of(runs[0].header).items()}
     return noise_of(runs, [name], poles)[0][name]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.encoder import Encoder
-from rig.encoder import Decoder, Lines, Settings, Trigger, decode, edges
 from rig.record import Channel, Samples, Timing
+from rig.signals.encoder import Decoder, Lines, Settings, Trigger, decode, edges
 
 TIMING = Timing(20e-6, 16)
 CHANNELS = tuple(

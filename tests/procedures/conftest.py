@@ -6,7 +6,7 @@ import pytest
 
 from rig.bench.benchfile import describe
 from rig.bench.steps import BenchFacts
-from rig.config import shipped
+from rig.yaml.config import shipped
 
 
 @pytest.fixture(scope="session")

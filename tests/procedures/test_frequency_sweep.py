@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from procedures.frequency_sweep import Settings, expand, frequencies
 from rig.bench.benchfile import describe
 from rig.bench.steps import AlignBeam, Ask, BenchFacts, Plan, SetFilter, Sine, Static
-from rig.config import shipped
+from rig.yaml.config import shipped
 
 G = 9.80665
 BENCH = describe(shipped("benches/simulated.yaml")).facts()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from procedures.turntable import Settings, expand
 from rig.bench.benchfile import describe
 from rig.bench.steps import Ask, BenchFacts, Plan, Spin, Static
-from rig.config import shipped
+from rig.yaml.config import shipped
 
 BENCH = describe(shipped("benches/simulated.yaml")).facts()
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from rig import config
 from rig.bench import procedure_file
 from rig.bench.steps import BenchFacts
-from rig.document import read
+from rig.yaml import config
+from rig.yaml.document import read
 
 FOLDER = Path(procedure_file.procedures()["noise"].__file__ or "").parent
 SHIPPED = sorted(FOLDER.glob("*.yaml"))

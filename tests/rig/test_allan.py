@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig import allan
 from rig.errors import BadInput
+from rig.signals import allan
 
 NBS14 = [892, 809, 823, 798, 671, 644, 883, 903, 677]
 

@@ -25,10 +25,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from rig import journal
-from rig.archive import Run, Runs, RunWriter
+from rig.archive import journal
+from rig.archive.runs import Run, Runs, RunWriter
+from rig.archive.writer import PIECE_BYTES, _Line
 from rig.errors import ArchiveError, BadInput, BenchUnreachable
-from rig.run_writer import PIECE_BYTES, _Line
 
 HEADER = {"simulated": True, "points_total": 2}
 
@@ -437,7 +437,7 @@ def test_a_damaged_run_is_listed_as_damaged(runs: Runs) -> None:
 VICTIM = """
     import sys, numpy as np
     from pathlib import Path
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
     writer = Runs(Path(sys.argv[1])).create("noise", {"points_total": 1000000, "simulated": True})
     stream = writer.block_stream("stream")
     for i in range(1_000_000):
@@ -501,7 +501,7 @@ def test_a_writer_killed_at_any_moment_loses_nothing_it_acknowledged(
 FULL = """
     import resource, sys, numpy as np
     from pathlib import Path
-    from rig.archive import Runs
+    from rig.archive.runs import Runs
     from rig.errors import ArchiveError
     with Runs(Path(sys.argv[1])).create("noise", {"simulated": True}) as writer:
         writer.block("before", np.arange(1000.0))

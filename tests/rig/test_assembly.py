@@ -11,8 +11,8 @@ from rig.bench import assembly, control
 from rig.bench.benchfile import BenchDescription, describe
 from rig.bench.control import BenchClock, BenchOperator, Control
 from rig.bench.roles import Energises
-from rig.config import shipped
 from rig.errors import BadInput, ConfigError, InstrumentError
+from rig.yaml.config import shipped
 
 SHIPPED = shipped("benches/simulated.yaml")
 Written = Callable[..., BenchDescription]

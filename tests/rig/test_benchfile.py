@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from rig.bench.benchfile import Standard, describe, filled
-from rig.config import load, shipped
 from rig.errors import ConfigError, StandardOverdue
+from rig.yaml.config import load, shipped
 
 SHIPPED = shipped("benches/simulated.yaml")
 Change = Callable[..., Path]

@@ -23,8 +23,8 @@ from blind_scores import Trial
 from blind_worlds import Answer
 
 from fixtures import strength
-from rig.estimate.diagnose import diagnose
-from rig.estimate.evidence import evidence_of
+from rig.diagnose.diagnose import diagnose
+from rig.fit.evidence import evidence_of
 
 ANSWERS = Path(__file__).with_name("blind_slice.json")
 EXACT = 22  # of 24 hidden effects; 21 if lags and delays are turned the wrong way, 4 if means count as independent

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rig.errors import BadInput
-from rig.estimate.budget import (
+from rig.calibrate.budget import (
     Budget,
     Contribution,
     Draw,
@@ -26,6 +25,7 @@ from rig.estimate.budget import (
     tolerance,
     validated,
 )
+from rig.errors import BadInput
 
 Floats = NDArray[np.float64]
 

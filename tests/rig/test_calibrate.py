@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from fixtures.world import World
+from rig.archive.journal import Entry
+from rig.archive.records import Signals
+from rig.calibrate import checking
+from rig.calibrate.calibrate import calibrate
+from rig.calibrate.calibration import Calibration, load, save, text
+from rig.calibrate.comparison import compare
 from rig.errors import BadInput, StandardOverdue
-from rig.estimate import checking
-from rig.estimate.calibrate import calibrate
-from rig.estimate.calibration import Calibration, load, rounded, save, text
-from rig.estimate.comparison import compare
-from rig.journal import Entry
+from rig.printed import rounded
 from rig.record import Samples
-from rig.records import Signals
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 8}
 

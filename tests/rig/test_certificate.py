@@ -17,12 +17,12 @@ from typing import Any
 import pytest
 from example_calibration import example
 
+from rig.calibrate.budget import Budget, Contribution
+from rig.calibrate.calibration import Calibration, not_determined
 from rig.certificate.dcc import write_dcc, xml
 from rig.certificate.document import standard_rows
 from rig.certificate.pdf import compiled, write_pdf
 from rig.errors import BadInput
-from rig.estimate.budget import Budget, Contribution
-from rig.estimate.calibration import Calibration, not_determined
 
 SHARED = Path(os.environ.get("RIG_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 SVG = (

@@ -8,14 +8,14 @@ from typing import Any
 import fast_bench
 import pytest
 
-from rig import repair
-from rig.estimate.conclusion import OUTPUT_FILTER, Conclusion, conclude
-from rig.estimate.diagnose import diagnose
-from rig.estimate.evidence import evidence_of
-from rig.estimate.parameters import Estimate, plausible
-from rig.estimate.unseen import cannot_see
+from rig.diagnose.conclusion import OUTPUT_FILTER, Conclusion, conclude
+from rig.diagnose.diagnose import diagnose
+from rig.diagnose.unseen import cannot_see
+from rig.fit.evidence import evidence_of
+from rig.fit.parameters import Estimate, plausible
 from rig.model import Term
-from rig.repair import Bench
+from rig.repair import repair
+from rig.repair.repair import Bench
 from rig.shelf import shelf
 
 CUBIC = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
@@ -112,7 +112,7 @@ def test_a_parameter_is_shown_in_a_laboratory_s_unit_with_expanded_uncertainty(
 
 
 def test_every_unit_of_the_shelf_has_a_laboratory_s_unit() -> None:
-    from rig.estimate.parameters import KINDS, LABORATORY
+    from rig.fit.parameters import KINDS, LABORATORY
 
     units: set[Any] = set()
     for effect in shelf().values():

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from pydantic import BaseModel, ConfigDict, Field, RootModel, field_validator
 
-from rig import config
 from rig.errors import BadInput, ConfigError, Problem, WorkFailed
 from rig.units import Frequency, Length, Time
+from rig.yaml import config
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,9 +12,9 @@ import pytest
 from fixtures import channels as cabling
 from fixtures.imperfections import SHELF, Array, Imperfection
 from fixtures.motion import Motion as TrueMotion
-from rig.estimate import adequacy
-from rig.estimate.describe import Description, describe
-from rig.estimate.evidence import Evidence, evidence_of
+from rig.diagnose.describe import Description, describe
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence, evidence_of
 from rig.formula import formula_effect, term_of
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}

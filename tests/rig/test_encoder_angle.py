@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt
 
-from rig.encoder_angle import AngleTrack, angle_of_lines, encoder_track, quadrature_track
 from rig.errors import BadInput
+from rig.signals.encoder_angle import AngleTrack, angle_of_lines, encoder_track, quadrature_track
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -9,9 +9,9 @@ import imported_worlds as worlds
 import pytest
 from imported_worlds import Sensor, response, response_table
 
-from rig.estimate import search
-from rig.estimate.diagnose import Diagnosis, diagnose
-from rig.estimate.evidence import Evidence
+from rig.diagnose import search
+from rig.diagnose.diagnose import Diagnosis, diagnose
+from rig.fit.evidence import Evidence
 from rig.shelf import shelf
 
 EXCHANGED = Sensor(0.99, 5e-4, 1.5e-3)  # a Bessel filter alone is best, and a Butterworth filter beside it

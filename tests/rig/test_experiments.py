@@ -10,15 +10,16 @@ import fast_bench
 import pytest
 
 from fixtures.world import World
-from rig.estimate import experiments, search
-from rig.estimate import fit as fitting
-from rig.estimate.diagnose import Choice, Diagnosis, Step
-from rig.estimate.evidence import Evidence, evidence_of
-from rig.estimate.experiments import Option, Ranked
-from rig.estimate.fit import Fit
-from rig.estimate.floor import Floor
-from rig.estimate.sines import Sines
-from rig.records import Recorded
+from rig.archive.records import Recorded
+from rig.diagnose import next_measurement as experiments
+from rig.diagnose import search
+from rig.diagnose.diagnose import Choice, Diagnosis, Step
+from rig.diagnose.next_measurement import Option, Ranked
+from rig.fit import fit as fitting
+from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.fit import Fit
+from rig.fit.floor import Floor
+from rig.parts.sines import Sines
 from rig.shelf import shelf
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}

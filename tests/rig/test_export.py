@@ -23,9 +23,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat
 
+from rig.calibrate.budget import Budget, Contribution
+from rig.calibrate.calibration import Calibration, ResponsePoint, Result, Source, not_determined, shown
 from rig.errors import BadInput
-from rig.estimate.budget import Budget, Contribution
-from rig.estimate.calibration import Calibration, ResponsePoint, Result, Source, not_determined, shown
 from rig.export import FORMATS, apply, python_module, write
 from rig.export.matlab import field_name
 from rig.export.selection import cross_axis, yaml_float

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from fixtures.channels import SHAKER_CABLES
-from rig import tone
-from rig.archive import Runs
+from rig.archive.journal import Entry
+from rig.archive.runs import Runs
 from rig.bench.assembly import state_folder
 from rig.bench.benchfile import describe
 from rig.bench.control import stop
-from rig.journal import Entry
+from rig.signals import tone
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 3, "static": "1 s"}
 

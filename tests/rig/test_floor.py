@@ -13,9 +13,9 @@ from blind_worlds import with_more
 
 from fixtures.world import World
 from rig.errors import BadInput, ConfigError
-from rig.estimate import adequacy
-from rig.estimate.evidence import Evidence, evidence_of
-from rig.estimate.floor import Floor, floor_of, load, said, save, with_floor
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.floor import Floor, floor_of, load, said, save, with_floor
 
 RIPPLE = 1e-3
 

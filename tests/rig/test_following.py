@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from imported_worlds import Unit, evidence, motion, rotation
 
-from rig.estimate.conclusion import Conclusion, conclude
-from rig.estimate.diagnose import Diagnosis, diagnose
-from rig.estimate.evidence import Evidence
-from rig.estimate.fit import Fit
-from rig.estimate.following import Following
+from rig.diagnose.conclusion import Conclusion, conclude
+from rig.diagnose.diagnose import Diagnosis, diagnose
+from rig.fit.evidence import Evidence
+from rig.fit.fit import Fit
+from rig.parts.following import Following
 from rig.shelf import effect_of, nothing_of, shelf
 
 LATE, ARM, TILT = 8e-3, (0.02, -0.03, 0.05), (0.02, -0.03, 0.01)

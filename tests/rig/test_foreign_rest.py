@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rig.errors import BadInput
-from rig.estimate.foreign_rest import AtRest, at_rest
-from rig.foreign import Array, Foreign, Table
-from rig.manifest import from_json
+from rig.foreign.manifest import from_json
+from rig.foreign.tables import Array, Foreign, Table
+from rig.parts.reading.rest import AtRest, at_rest
 
 
 def record(values: Array, **column: Any) -> list[AtRest]:

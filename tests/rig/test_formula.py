@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 from fixtures import channels as cabling
 from fixtures.imperfections import SHELF, Array, Imperfection
 from fixtures.motion import Motion as TrueMotion
+from rig.diagnose import search
+from rig.diagnose.diagnose import diagnose
 from rig.errors import BadInput
-from rig.estimate import adequacy, search
-from rig.estimate.diagnose import diagnose
-from rig.estimate.evidence import Evidence, evidence_of
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence, evidence_of
 from rig.formula import DEEPEST, LONGEST, formula_effect, parse, term_of
 from rig.model import EVERYWHERE, Quantity
 from rig.shelf import shelf

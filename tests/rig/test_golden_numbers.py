@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from rig import tone
-from rig.estimate import paper_method
-from rig.rotation import Edges, Turns
-from rig.vibration import filter_response
+from rig.calibrate import paper_method
+from rig.parts.reading.vibration import filter_response
+from rig.signals import tone
+from rig.signals.rotation import Edges, Turns
 
 RATE = 3125.0  # Hz
 DEGREE = math.pi / 180.0

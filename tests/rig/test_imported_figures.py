@@ -14,18 +14,19 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from numpy.typing import NDArray
 
-from rig import manifest
-from rig.estimate.evidence import Evidence
-from rig.estimate.fit import Fit, Part
-from rig.estimate.following import Following
-from rig.estimate.imported import parts_of
-from rig.estimate.misfit import compare
-from rig.estimate.posed import Posed, PosedRecords
-from rig.estimate.responding import Responding
-from rig.foreign import Foreign, Table
-from rig.imported_figures import following, poses, response
-from rig.misfit_figures import draw
+from rig.diagnose.misfit import compare
+from rig.fit.evidence import Evidence
+from rig.fit.fit import Fit
+from rig.foreign import manifest
+from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Term
+from rig.parts.following import Following
+from rig.parts.part import Part
+from rig.parts.poses import Posed, PosedRecords
+from rig.parts.reading.imported import parts_of
+from rig.parts.response import Responding
+from rig.report.imported_figures import following, poses, response
+from rig.report.misfit_figures import draw
 from rig.shelf import shelf
 
 Array = NDArray[np.float64]

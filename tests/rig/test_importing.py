@@ -13,14 +13,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rig import foreign_files
-from rig.archive import Runs
+from rig.archive.records import Records
+from rig.archive.runs import Runs
 from rig.errors import BadInput, ConfigError
-from rig.foreign import foreign_of
-from rig.foreign_files import Csv, columns
-from rig.guessing import guess, written
-from rig.importing import Read, keep, open_manifest
-from rig.records import Records
+from rig.foreign import readers as foreign_files
+from rig.foreign.guessing import guess, written
+from rig.foreign.importing import Read, keep, open_manifest
+from rig.foreign.readers import Csv, columns
+from rig.foreign.tables import foreign_of
 
 Array = NDArray[np.float64]
 QUICK = settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])

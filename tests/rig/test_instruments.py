@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from imported_sweeps import DRIVE, MAINS, made
 
-from rig.estimate.evidence import Evidence
-from rig.estimate.instruments import drive_off, findings
-from rig.estimate.shaken_foreign import sweeps
-from rig.estimate.sine_lines import mains_seen
-from rig.estimate.sines import SineRecords, Sines
+from rig.diagnose.instruments import drive_off, findings
+from rig.fit.evidence import Evidence
+from rig.parts.reading.imported_sweep import sweeps
+from rig.parts.sine_lines import mains_seen
+from rig.parts.sines import SineRecords, Sines
 from rig.shelf import shelf
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.line import fit_line, fit_polynomial, gls, odd_even
+from rig.signals.line import fit_line, fit_polynomial, gls, odd_even
 
 Floats = NDArray[np.float64]
 

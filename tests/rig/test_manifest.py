@@ -13,10 +13,10 @@ import yaml
 from foreign_data import turning_manifest
 from pydantic import BaseModel
 
-from rig import manifest
-from rig.config import json_schema
 from rig.errors import ConfigError
-from rig.manifest import Column, Manifest, from_json, load
+from rig.foreign import manifest
+from rig.foreign.manifest import Column, Manifest, from_json, load
+from rig.yaml.config import json_schema
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "configs" / "imports").glob("*.yaml"))

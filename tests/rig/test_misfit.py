@@ -12,11 +12,11 @@ import fast_bench
 import numpy as np
 import pytest
 
+from rig.diagnose.misfit import Comparison, compare
+from rig.diagnose.misfit_cells import cells, deviate, tables
+from rig.diagnose.whiteness import fisher_g, ljung_box, runs
 from rig.errors import BadInput
-from rig.estimate.evidence import Evidence, evidence_of
-from rig.estimate.misfit import Comparison, compare
-from rig.estimate.misfit_cells import cells, deviate, tables
-from rig.estimate.whiteness import fisher_g, ljung_box, runs
+from rig.fit.evidence import Evidence, evidence_of
 from rig.model import Term
 from rig.shelf import shelf
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from rig.estimate.evidence import Evidence, evidence_of
-from rig.estimate.misfit import conditions
-from rig.estimate.misfit_cells import tables
-from rig.misfit_figures import draw, shaker, turntable
+from rig.diagnose.misfit import conditions
+from rig.diagnose.misfit_cells import tables
+from rig.fit.evidence import Evidence, evidence_of
 from rig.motion import Array
+from rig.report.misfit_figures import draw, shaker, turntable
 
 
 def _drawn(axes: Axes, *, points: int) -> list[tuple[Array, Array]]:

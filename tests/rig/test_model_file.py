@@ -11,13 +11,13 @@ import fast_bench
 import numpy as np
 import pytest
 
-from rig import repair
+from rig.archive.records import Recorded
 from rig.errors import BadInput, ConfigError
-from rig.estimate.parameters import estimates
+from rig.fit.parameters import estimates
 from rig.model import Term
-from rig.model_file import Model, as_text, load, path_of, save, terms_of
-from rig.records import Recorded
-from rig.repair import Bench, Repaired
+from rig.repair import repair
+from rig.repair.model_file import Model, as_text, load, path_of, save, terms_of
+from rig.repair.repair import Bench, Repaired
 from rig.shelf import shelf
 
 HIDDEN = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}

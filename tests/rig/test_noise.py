@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from rig import noise, spectrum
 from rig.errors import BadInput
+from rig.signals import noise, spectrum
 
 
 def white(rng: np.random.Generator, n: int, rate: float, density: float, pole: float = math.inf) -> np.ndarray:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rig.calibrate import paper_method
 from rig.errors import BadInput
-from rig.estimate import paper_method
-from rig.rotation import Edges, turns
-from rig.vibration import chain_of, sine_points
+from rig.parts.reading.vibration import chain_of, sine_points
+from rig.signals.rotation import Edges, turns
 
 RATE = 3125.0  # Hz
 RPM = 2.0 * math.pi / 60.0

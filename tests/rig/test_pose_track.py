@@ -14,8 +14,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt
 
 from rig.errors import BadInput
-from rig.pose_track import PoseTrack, pose_track
-from rig.smoother import inverse_band
+from rig.signals.pose_track import PoseTrack, pose_track
+from rig.signals.smoother import inverse_band
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))

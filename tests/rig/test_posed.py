@@ -14,12 +14,12 @@ from scipy.optimize import least_squares
 
 from rig.effects.non_orthogonality import NonOrthogonality
 from rig.errors import BadInput
-from rig.estimate.fit import Fit, begin, fit, linearised, residual, stepped
-from rig.estimate.posed import GRAVITY, Posed, PosedRecords
-from rig.estimate.standing import noises_at_rest, posed
-from rig.foreign import Foreign, Table
-from rig.manifest import Manifest
+from rig.fit.fit import Fit, begin, fit, linearised, residual, stepped
+from rig.foreign.manifest import Manifest
+from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term
+from rig.parts.poses import GRAVITY, Posed, PosedRecords
+from rig.parts.reading.poses import noises_at_rest, posed
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -6,8 +6,8 @@ import imported_worlds as worlds
 import pytest
 from imported_worlds import Sensor, response, response_table
 
-from rig.estimate.evidence import Evidence
-from rig.estimate.prediction import Prediction, predict
+from rig.diagnose.prediction import Prediction, predict
+from rig.fit.evidence import Evidence
 from rig.model import Term
 from rig.shelf import effect_of
 

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from rig import config
 from rig.bench import procedure_file
 from rig.bench.benchfile import describe
 from rig.bench.steps import Ask, Plan, Sine, Static, Wait
-from rig.config import shipped
-from rig.document import read_text
 from rig.errors import ConfigError
+from rig.yaml import config
+from rig.yaml.config import shipped
+from rig.yaml.document import read_text
 
 FACTS = describe(shipped("benches/simulated.yaml")).facts()
 

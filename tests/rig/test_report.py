@@ -13,8 +13,8 @@ import fast_bench
 import pytest
 from example_calibration import example
 
-from rig.estimate.calibration import Calibration, text
-from rig.records import Recorded
+from rig.archive.records import Recorded
+from rig.calibrate.calibration import Calibration, text
 from rig.report import figures, write_report
 from rig.report.page import page, table
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from imported_worlds import FREQUENCIES, Sensor, response, response_table
 
+from rig.diagnose.conclusion import conclude
+from rig.diagnose.diagnose import diagnose
 from rig.errors import BadInput
-from rig.estimate import adequacy
-from rig.estimate.conclusion import conclude
-from rig.estimate.diagnose import diagnose
-from rig.estimate.evidence import Evidence
-from rig.estimate.fit import Fit
-from rig.estimate.responding import Responding
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence
+from rig.fit.fit import Fit
+from rig.parts.response import Responding
 from rig.shelf import effect_of, nothing_of, shelf
 
 TRUE = Sensor(gain=1.02, delay=2e-3, window=3e-3)

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import make_lsq_spline
 
 from rig.errors import BadInput
-from rig.rotation import DEGREE, KNOT, Edges, Track, graduation_map, turns
+from rig.signals.rotation import DEGREE, KNOT, Edges, Track, graduation_map, turns
 
 INTERVAL = 320e-6  # s between samples of a channel
 OMEGA = 2.0 * np.pi * 0.75  # rad/s, 45 rpm

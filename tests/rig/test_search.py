@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.fft import dct
 
-from rig.estimate import fit as fitting
-from rig.estimate import search
-from rig.estimate.evidence import evidence_of
-from rig.estimate.fit import Fit
-from rig.estimate.turning import Turning
+from rig.diagnose import search
+from rig.fit import fit as fitting
+from rig.fit.evidence import evidence_of
+from rig.fit.fit import Fit
 from rig.model import Term
 from rig.motion import Array
+from rig.parts.turning import Turning
 from rig.shelf import shelf
 
 TURNS = {"procedure": "turntable", "all": True}

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from imported_sweeps import DRIVE, INTERVAL, columns, distorted, made, real
 
+from rig.diagnose.diagnose import diagnose
+from rig.diagnose.misfit import compare
 from rig.errors import BadInput
-from rig.estimate import adequacy
-from rig.estimate.diagnose import diagnose
-from rig.estimate.evidence import Evidence
-from rig.estimate.misfit import compare
-from rig.estimate.shaken_foreign import sweeps
-from rig.estimate.shaker_distortion import distortions, gains
-from rig.estimate.sine_lines import separated
-from rig.estimate.sines import SineRecords, Sines
-from rig.foreign import Foreign
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence
+from rig.foreign.tables import Foreign
+from rig.parts.reading.imported_sweep import sweeps
+from rig.parts.reading.shaker_distortion import distortions, gains
+from rig.parts.sine_lines import separated
+from rig.parts.sines import SineRecords, Sines
 
 
 def _evidence(data: SineRecords) -> Evidence:
@@ -218,7 +218,7 @@ def test_the_real_distortion_is_the_shakers() -> None:
 
 
 def test_ten_harmonics_take_a_one_sine_residual_of_the_real_base_from_0_192_to_0_021() -> None:
-    from rig import tone
+    from rig.signals import tone
 
     table = real("amplitude_5_impact_0.0_vibration_1.csv").tables[0]
     t, base = INTERVAL * np.arange(len(table.values)), table.of("base")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.estimate.shared_lines import shared_lines
 from rig.motion import Array
+from rig.parts.reading.shared_lines import shared_lines
 
 INTERVAL = 0.01
 T = INTERVAL * np.arange(12000)

@@ -10,13 +10,13 @@ import pytest
 from imported_sweeps import made
 from imported_worlds import Unit, evidence, rotation
 
-from rig.estimate.conclusion import OWN_SENSITIVITY, conclude
-from rig.estimate.evidence import Evidence
-from rig.estimate.fit import begin, fit, linearised, residual, stepped
-from rig.estimate.posed import Posed, PosedRecords
-from rig.estimate.shaken_foreign import sweeps
-from rig.estimate.sines import Sines
+from rig.diagnose.conclusion import OWN_SENSITIVITY, conclude
+from rig.fit.evidence import Evidence
+from rig.fit.fit import begin, fit, linearised, residual, stepped
 from rig.model import Channels
+from rig.parts.poses import Posed, PosedRecords
+from rig.parts.reading.imported_sweep import sweeps
+from rig.parts.sines import Sines
 from rig.shelf import shelf
 
 SAME = (1.012, 1.012, 1.012)

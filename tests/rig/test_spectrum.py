@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from rig import spectrum
 from rig.errors import BadInput
+from rig.signals import spectrum
 
 
 def white(seed: int, n: int, rate: float, density: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rig.errors import BadInput
-from rig.still_poses import StillPose, still_poses, u_mean
+from rig.signals.still_poses import StillPose, still_poses, u_mean
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))

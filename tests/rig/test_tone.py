@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.errors import BadInput
-from rig.tone import fit_three, ratio
+from rig.signals.tone import fit_three, ratio
 
 RATE = 3125.0
 

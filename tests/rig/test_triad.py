@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rig.calibrate.triad import fit_directions, fit_magnitude
 from rig.errors import BadInput
-from rig.estimate.triad import fit_directions, fit_magnitude
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.calibrate.verdict import agrees, normalised_error, verdict
 from rig.errors import BadInput
-from rig.estimate.verdict import agrees, normalised_error, verdict
 
 
 def test_the_whole_interval_inside_passes_outside_fails_and_across_a_limit_is_inconclusive() -> None:

@@ -1,0 +1,1 @@
+"""Runs on disk: the append-only journal, blocks beside it, the seal."""

@@ -1,0 +1,236 @@
+"""What the analysis reads of a run: its journal once, its records as samples, its references as numbers.
+
+`Recorded` is all that the analysis asks for; `Records` reads it from the archive. Long records come piece by piece, so
+that an hour needs no more memory than a minute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import units
+from rig.archive.journal import Entry
+from rig.archive.reader import Run
+from rig.errors import BadInput, StandardOverdue
+from rig.record import Channel, CubeSamples, Samples, Timing
+
+PIECE = 1 << 17  # scans handed out at once: 4 MB of sixteen channels
+
+
+class Recorded(Protocol):
+    """A run as the analysis sees it: what was known before (`header`), what happened (`lines`), points by index."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def header(self) -> Mapping[str, Any]: ...
+    @property
+    def lines(self) -> Sequence[Entry]: ...
+    @property
+    def points(self) -> Mapping[int, Mapping[str, Any]]: ...
+    def samples(self, name: str) -> Samples:
+        """The whole record behind a block name; KeyError if there is none."""
+        ...
+
+    def pieces(self, name: str) -> Iterator[Samples]:
+        """The same in consecutive stretches of bounded size."""
+        ...
+
+    def traces(self, name: str) -> Signals:
+        """Simultaneous traces of the oscilloscope."""
+        ...
+
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
+        ...
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Channels of one record: volts, shape (n, channels), at `instants` (n,) + `skew` (channels,), both s.
+
+    `clipped` counts samples at the ends of the range by channel; `step` is the converter's, V. `start` is the bench
+    clock's time at which the instants begin to count, s.
+    """
+
+    names: tuple[str, ...]
+    instants: NDArray[np.float64]
+    skew: NDArray[np.float64]
+    volts: NDArray[np.float64]
+    clipped: Mapping[str, int]
+    step: float = 0.0
+    start: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of one channel, Hz."""
+        return (len(self.instants) - 1) / float(self.instants[-1] - self.instants[0])
+
+    def of(self, name: str) -> NDArray[np.float64]:
+        """Volts of one channel, shape (n,)."""
+        return self.volts[:, self.names.index(name)]
+
+
+class Records:
+    """A run of the archive, its journal read once."""
+
+    def __init__(self, run: Run) -> None:
+        self.run, self.name, self.status, self.header = run, run.name, str(run.status), run.header
+        self.lines, self.points, self._blocks = list(run.lines()), run.points(), run.blocks()
+
+    def samples(self, name: str) -> Samples:
+        """The record behind a block name; pieces of a long record are joined. KeyError if there is none."""
+        parts = self._blocks[name]
+        pieces = [self.run.read(part) for part in parts]
+        counts = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        return _samples(counts, parts[0].meta, int(parts[0].meta["first_scan"]))
+
+    def pieces(self, name: str) -> Iterator[Samples]:
+        """The same in consecutive stretches, mapped from the files."""
+        scan = int(self._blocks[name][0].meta["first_scan"])
+        for part in self._blocks[name]:
+            counts = self.run.read(part)
+            for begin in range(0, len(counts), PIECE):
+                stretch = np.asarray(counts[begin : begin + PIECE])
+                yield _samples(stretch, part.meta, scan)
+                scan += len(stretch)
+
+    def traces(self, name: str) -> Signals:
+        """Simultaneous traces of the oscilloscope."""
+        meta = self._blocks[name][0].meta
+        volts = self.run.block(name)
+        instants = np.asarray(float(meta["start"]) + float(meta["interval"]) * np.arange(volts.shape[1]), np.float64)
+        clipped = dict(zip(meta["names"], meta.get("clipped", ()), strict=False))
+        return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
+
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
+        return self.run.block(name), tuple(self._blocks[name][0].meta["columns"])
+
+    def cube(self, name: str) -> CubeSamples:
+        """The Sensor Cube's own frames behind a block name."""
+        meta, frames = self._blocks[name][0].meta, self.run.block(f"{name}-frames")
+        return CubeSamples(
+            names=tuple(meta["names"]),
+            counts=self.run.block(name),
+            sequence=frames[:, 0],
+            device_us=frames[:, 1],
+            flags=frames[:, 2].astype(np.uint16),
+            supply=frames[:, 3].astype(np.uint16),
+            temperature=frames[:, 4].astype(np.uint16),
+            gaps=int(meta["gaps"]),
+            bad_frames=int(meta["bad_frames"]),
+            rate=float(meta["rate"]),
+            start=float(meta["start"]),
+        )
+
+
+def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) -> Samples:
+    return Samples(
+        counts=counts,
+        channels=tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"]),
+        timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
+        start=float(meta["start"]),
+        first_scan=first,
+        flags=frozenset(meta["flags"]),
+    )
+
+
+def signals_of(records: Recorded, body: Mapping[str, Any]) -> Signals | None:
+    """All channels of one point: the converter's, else the oscilloscope's; None if neither kept a record."""
+    if "samples" in body:
+        return signals(records.samples(body["samples"]))
+    return records.traces(body["traces"]) if "traces" in body else None
+
+
+def signals(samples: Samples) -> Signals:
+    """A record of the converter with each channel's delay in the scan."""
+    names = tuple(channel.name for channel in samples.channels)
+    slots = np.array([channel.slot for channel in samples.channels])
+    low = np.array([channel.low for channel in samples.channels])
+    high = np.array([channel.high for channel in samples.channels])
+    volts = samples.counts / 65535.0 * (high - low) + low
+    ends = np.count_nonzero((samples.counts == 0) | (samples.counts == 65535), axis=0)
+    clipped = {name: int(n) for name, n in zip(names, ends, strict=True) if n}
+    instants = samples.timing.instants(0, len(samples.counts), samples.first_scan)
+    step = float(np.max(high - low)) / 65535.0
+    skew = slots * samples.timing.convert_period
+    return Signals(names, instants, skew, volts, clipped, step, samples.start)
+
+
+def statics(records: Recorded) -> Iterator[Mapping[str, Any]]:
+    """Journal bodies of every record at rest that the converter kept."""
+    for entry in records.lines:
+        if entry.kind in ("point", "step") and "purpose" in entry.body and "samples" in entry.body:
+            yield entry.body
+
+
+def poses_of(records: Recorded) -> list[tuple[tuple[float, float, float], Mapping[str, Any]]]:
+    """What was up in the cube's frame (unit vector), and the record, for every pose of a tumble."""
+    up, found = None, []
+    for entry in records.lines:
+        if entry.kind == "confirmed" and entry.body["action"] == "pose":
+            s = entry.body["settings"]
+            up = (float(s["up_x"]), float(s["up_y"]), float(s["up_z"]))
+        elif entry.kind == "point" and entry.body.get("purpose") == "pose" and up is not None:
+            found.append((up, entry.body))
+    return found
+
+
+def mounts(records: Recorded) -> Iterator[tuple[Entry, Mapping[str, Any] | None]]:
+    """Every line with the settings of the mounting that was in force (None before the first)."""
+    mount: Mapping[str, Any] | None = None
+    for entry in records.lines:
+        if entry.kind == "confirmed" and str(entry.body["action"]).startswith("mount_on_"):
+            mount = {"place": entry.body["action"].removeprefix("mount_on_"), **entry.body["settings"]}
+        yield entry, mount
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A value of a standard: SI value, standard uncertainty, and the certificate that says so."""
+
+    standard: str
+    quantity: str
+    value: float
+    u: float
+    certificate: str
+
+    @property
+    def source(self) -> str:
+        """For a budget's line."""
+        return f"certificate {self.certificate}"
+
+
+def reference(records: Recorded, standard: str, quantity: str) -> Reference:
+    """One value of a standard of the run's bench.
+
+    Raises BadInput if the bench had no such standard, StandardOverdue if it was past its due date when the run began
+    and nobody ordered otherwise.
+    """
+    for found in records.header["standards"]:
+        if found["standard"] == standard and quantity in found["values"]:
+            _refuse_overdue(records, found)
+            stated = found["values"][quantity]
+            value, expanded = (units.parse(stated[key], stated["kind"]) for key in ("value", "expanded_uncertainty"))
+            return Reference(standard, quantity, value, expanded / stated["coverage_factor"], found["certificate"])
+    raise BadInput(f"{records.name}: found no {quantity} of a standard '{standard}', wanted one in the bench file")
+
+
+def _refuse_overdue(records: Recorded, standard: Mapping[str, Any]) -> None:
+    import datetime as dt
+
+    overridden = records.header["overdue_overridden"]
+    day = dt.datetime.fromtimestamp(records.header["started"], dt.UTC).date()
+    if day > dt.date.fromisoformat(str(standard["due"])) and standard["standard"] not in overridden:
+        raise StandardOverdue(
+            f"{records.name}: found standard {standard['standard']} ({standard['certificate']}) due on "
+            f"{standard['due']} in a run of {day}, wanted one within its due date"
+        )

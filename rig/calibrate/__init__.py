@@ -1,0 +1,1 @@
+"""Values, budgets and verdicts of a unit."""

@@ -1,0 +1,49 @@
+"""What every result allows for beside its own fit: a model that misses the data, and temperature."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rig.calibrate.budget import Contribution, half_width
+from rig.calibrate.calibration import Status
+
+UNLIKELY = 1e-4  # probability of a misfit below which the model is called in question
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How a fit stands to the noise of its data: `factor` widens the noise's share, 1 unless in question."""
+
+    factor: float
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> Status:
+        return "flagged" if self.remarks else "determined"
+
+
+def misfit(chi2: float, dof: int, what: str) -> Misfit:
+    """Widened by √(χ²/dof) if the data miss `what` by more than chance allows."""
+    from scipy.stats import chi2 as distribution
+
+    if float(distribution.sf(chi2, dof)) >= UNLIKELY:
+        return Misfit(1.0)
+    factor = math.sqrt(chi2 / dof)
+    return Misfit(
+        factor,
+        (f"{what} by {factor:.1f} times their noise: an effect is missing; u of the noise is widened by that factor",),
+    )
+
+
+def temperature(
+    value: float, drift: float | None, span: tuple[float, float, float] | None
+) -> tuple[tuple[Contribution, ...], tuple[str, ...]]:
+    """Budget lines and remarks: `drift` is the declared coefficient, 1/K; `span` mean, lowest and highest, °C."""
+    if drift is None:
+        return (), ("temperature coefficient not declared: value holds at the temperature of the records",)
+    if span is None:
+        return (), ("temperature was not recorded: it is not in the budget",)
+    u = half_width(abs(drift) * 0.5 * (span[2] - span[1]), "rectangular")
+    source = "declared coefficient times half the span"
+    return (Contribution("temperature", "B", "rectangular", u, "1", value, source=source),), ()

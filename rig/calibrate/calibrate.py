@@ -1,0 +1,543 @@
+"""From runs to a calibration: sweeps, turntable runs, tumbles and records at rest of one unit, merged.
+
+Each kind of run contributes what it can determine; what no run determines is in the calibration too, with the run that
+would. Runs of different units or benches are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import units
+from rig.archive.records import Recorded, mounts, reference, signals
+from rig.calibrate import accelerometers, gyros, paper_method, resting, tumbling
+from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
+from rig.calibrate.budget import Budget, Contribution, half_width
+from rig.calibrate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
+from rig.calibrate.resting import Resting
+from rig.calibrate.verdict import verdict
+from rig.errors import BadInput
+from rig.foreign.tables import is_foreign
+from rig.parts.reading.revolutions import Rotation, rotation_of
+from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
+from rig.sensor import Sensor, sensors_of
+from rig.signals.noise import coefficients
+
+UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
+DEVIATION = "deviation at rest, 1/30 Hz to half the sampling rate"
+RANDOM_WALK = {"acceleration": "(m/s²)·√Hz", "rate": "(rad/s)·√Hz"}
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Declared limits: beam and mount angles, rad; radius, m."""
+
+    beam: float
+    mount: float
+    radius: float
+    declared: bool
+
+
+def alignment_of(runs: Sequence[Recorded]) -> Alignment:
+    """The widest limits of the runs' bench files; zero and marked as not declared if one of them has none."""
+    stated = [records.header["bench_file"].get("alignment") for records in runs]
+    if not all(stated):
+        return Alignment(0.0, 0.0, 0.0, False)
+    beam, mount, radius = (
+        max(units.parse(one[name], kind) for one in stated)
+        for name, kind in (("beam", "angle"), ("mount", "angle"), ("radius", "length"))
+    )
+    return Alignment(beam, mount, radius, True)
+
+
+def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None) -> Calibration:
+    """One calibration from all runs of a unit; `digests` are SHA-256 of the seals by run.
+
+    Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
+    determine nothing; StandardOverdue for a standard used past its date without an order.
+    """
+    if foreign := [run.name for run in runs if is_foreign(run)]:
+        raise BadInput(f"{foreign[0]}: found imported data, wanted runs of a bench (an imported unit: rig fit)")
+    header = _common_header(runs)
+    sensors = sensors_of(header)
+    poles = {name: sensor.bandwidth for name, sensor in sensors.items()}
+    bench = _Bench(runs, header, sensors, alignment_of(runs), *resting.noise_of(runs, sensors, poles))
+    shaken = _Shaken(bench)
+    turned = _Turned(bench)
+    results = [*shaken.results(), *turned.results()]
+    results += [*bench.noise_results(list(results), shaken, turned), *_tumble_results(bench)]
+    if not any(r.determined for r in results):
+        raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
+                       "a turntable run, a tumble or a noise record")  # fmt: skip
+    stated = header["sensor"]["channels"]
+    paper = paper_method.accelerometer_rows(shaken.everything(), stated, runs)
+    paper += [row for records in runs for row in paper_method.gyro_rows(records, stated)]
+    return Calibration(
+        name=name,
+        sensor=str(header["sensor"]["sensor"]),
+        serial=str(header["sensor"]["serial"]),
+        made=max(entry.t for records in runs for entry in records.lines),
+        simulated=any(records.header["simulated"] for records in runs),
+        sources=tuple(_source(records, (digests or {}).get(records.name, "")) for records in runs),
+        standards=tuple(header["standards"]),
+        conditions=resting.conditions_of(runs),
+        results=tuple(_judged(_ordered(results, sensors), sensors)),
+        responses=shaken.responses(),
+        paper=tuple(paper),
+        overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
+        flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags()])),
+        program={key: str(value) for key, value in header["program"].items()},
+    )
+
+
+def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
+    if not runs:
+        raise BadInput("calibrate: found no run, wanted at least one")
+    first = runs[0].header
+    for records in runs[1:]:
+        for key in ("sensor", "standards", "simulated"):
+            if records.header[key] != first[key]:
+                raise BadInput(f"{records.name}: found another {key} than in {runs[0].name}, wanted runs of one unit "
+                               "on one bench")  # fmt: skip
+    return first
+
+
+def _source(records: Recorded, digest: str) -> Source:
+    procedure = str(records.header.get("procedure") or records.header["title"])
+    return Source(records.name, procedure, records.status, digest, float(records.header["started"]))
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What every part of a calibration looks up."""
+
+    runs: Sequence[Recorded]
+    header: Mapping[str, Any]
+    sensors: Mapping[str, Sensor]
+    alignment: Alignment
+    noise: Mapping[str, Resting]
+    without_noise: Mapping[str, str]
+
+    @property
+    def temperature(self) -> tuple[float, float, float] | None:
+        return resting.conditions_of(self.runs).get("temperature")
+
+    def flags(self) -> Iterator[str]:
+        if not self.alignment.declared:
+            yield "no `alignment` in the bench file of every run: the budgets contain no misalignment"
+        for records in self.runs:
+            if records.status != "completed":
+                yield f"{records.name} is {records.status}: not every point of it was measured"
+
+    def noise_results(self, sensitivities: Iterable[Result], shaken: _Shaken, turned: _Turned) -> Iterator[Result]:
+        """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
+        own = {r.channel: r for r in sensitivities if r.measurand == "sensitivity" and r.value is not None}
+        for name, noise in self.noise.items():
+            yield from _noise_of(self.sensors[name], noise, scale_of(self.sensors[name], own.get(name)))
+        for name, why in self.without_noise.items():
+            yield not_determined(name, "deviation", DEVIATION, self.sensors[name].unit, why)
+        scales = {n: scale_of(self.sensors[n], r) for n, r in own.items()}
+        yield from turned.noise_in_motion(scales)
+        yield from shaken.noise_in_motion(scales)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What turns volts of noise into the sensed quantity: sensitivity (SI) and its line in the budget, per unit."""
+
+    sensitivity: float
+    line: Contribution | None
+    remarks: tuple[str, ...]
+    reference: str
+
+    def result(self, sensor: Sensor, measurand: str, title: str, unit: str, volts: float, u: float, how: str) -> Result:
+        """A noise quantity in V (or V/√Hz …) with standard uncertainty `u`, referred to the input."""
+        value = volts / abs(self.sensitivity)
+        lines = [Contribution("estimate of the spectrum", "A", "normal", u / abs(self.sensitivity), unit, 1.0)]
+        if self.line is not None:
+            lines.append(replace(self.line, sensitivity=value))
+        return Result(
+            sensor.name, measurand, title, value, unit, Budget(tuple(lines)), how, self.reference, remarks=self.remarks
+        )
+
+
+def scale_of(sensor: Sensor, own: Result | None) -> Scale:
+    """The channel's own sensitivity if these runs determine it, else the data sheet's within its tolerance."""
+    if own is not None and own.value is not None:
+        known = Contribution("sensitivity", "B", "normal", own.u / abs(own.value), "1", 1.0, source=own.reference)
+        return Scale(own.value, known, (), "own sensitivity")
+    remarks = ["by the data sheet's sensitivity"]
+    line: Contribution | None = None
+    if sensor.tolerance is None:
+        remarks.append("its tolerance is not declared and not in the budget")
+    else:
+        line = Contribution("sensitivity", "B", "rectangular", half_width(sensor.tolerance, "rectangular"), "1", 1.0,
+                            source="data sheet")  # fmt: skip
+    return Scale(sensor.nominal, line, tuple(remarks), "data sheet's sensitivity")
+
+
+def _noise_of(sensor: Sensor, noise: Resting, by: Scale) -> Iterator[Result]:
+    how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
+    title = DEVIATION
+    if noise.deviation is None:
+        yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
+    else:
+        yield by.result(
+            sensor, "deviation", title, sensor.unit, noise.deviation, _u_deviation(noise.deviation, noise.dof), how
+        )
+    found = coefficients(noise.fit)
+    for measurand, key, title, unit in (
+        ("noise_density", "N", "noise density at low frequency, N (two-sided root)", f"({sensor.unit})/√Hz"),
+        ("bias_instability", "B", "bias instability, B", sensor.unit),
+        ("random_walk", "K", "random walk of the output, K", RANDOM_WALK[sensor.quantity]),
+    ):
+        one = found[key]
+        if one.value is None or one.u is None:
+            yield not_determined(sensor.name, measurand, title, unit, one.reason)
+        else:
+            yield by.result(sensor, measurand, title, unit, one.value, one.u, how)
+    yield _bandwidth(sensor, noise, how)
+
+
+def _u_deviation(value: float, dof: float) -> float:
+    """Standard uncertainty of a standard deviation from the degrees of freedom of its square."""
+    return value / math.sqrt(2.0 * max(dof, 1.0))
+
+
+def _bandwidth(sensor: Sensor, noise: Resting, how: str) -> Result:
+    title = "noise bandwidth of the white noise, π/2 of the corner"
+    if "pole" in noise.fit.refused or not math.isfinite(noise.fit.model.pole):
+        why = noise.fit.refused.get("pole", "no corner in the spectrum")
+        return not_determined(sensor.name, "noise_bandwidth", title, "Hz", why)
+    factor = math.pi / 2.0
+    line = Contribution("estimate of the spectrum", "A", "normal", noise.fit.u["pole"], "Hz", factor)
+    value = factor * noise.fit.model.pole
+    return Result(sensor.name, "noise_bandwidth", title, value, "Hz", Budget((line,)), how, "time base")
+
+
+class _Shaken:
+    """Everything from the shaker."""
+
+    def __init__(self, bench: _Bench) -> None:
+        self._bench = bench
+        self.points: dict[tuple[int, int], list[SinePoint]] = {}  # by run and first point of a mounting
+        self._fits: dict[str, list[ChannelFit]] = {}
+        self._whole: dict[str, ChannelFit] = {}
+        self._unusable: dict[str, str] = {}
+        self._chain: Chain | None = None
+        for number, records in enumerate(bench.runs):
+            if any("frequency" in body for body in records.points.values()):
+                chain = chain_of(records)
+                if self._chain is None or chain.u_cutoff > self._chain.u_cutoff:
+                    self._chain = chain  # standards are common to all runs; of their filters the least sure one counts
+                for group in _by_axis(sine_points(records, chain)):
+                    self.points[number, group[0].index] = group
+        self._refuse_wrong_axis()
+        self._fit()
+
+    def _refuse_wrong_axis(self) -> None:
+        axes = {n: s.axis for n, s in self._bench.sensors.items() if n.startswith(("unit_a", "unit_b"))}
+        for group in self.points.values():
+            moved = wrong_axis(group, axes)
+            if moved is not None:
+                raise BadInput(f"{group[0].run}: found the motion along {moved}, wanted it along {group[0].axis}: "
+                               "the cube stands on another face than the run says")  # fmt: skip
+
+    def _driven(self, axis: str) -> list[Sensor]:
+        return [s for s in self._bench.sensors.values() if s.quantity == "acceleration" and s.axis == axis]
+
+    def _fit(self) -> None:
+        chain = self._chain
+        if chain is None:
+            return
+        for group in self.points.values():
+            for sensor in self._driven(group[0].axis):
+                if sensor.name in group[0].lines:
+                    self._fit_mounting(group, sensor, chain)
+        for name, several in self._fits.items():
+            sensor = self._bench.sensors[name]
+            merged = several[0]
+            if len(several) > 1:
+                whole = accelerometers.observed(self._points_of(sensor.axis), name)
+                merged = accelerometers.fit_channel(whole, name, chain, sensor.bandwidth)
+            self._whole[name] = merged
+
+    def _fit_mounting(self, group: Sequence[SinePoint], sensor: Sensor, chain: Chain) -> None:
+        """One channel in one mounting; a channel without usable points does not take the others with it."""
+        try:
+            seen = accelerometers.observed(group, sensor.name)
+        except BadInput as error:
+            self._unusable[sensor.name] = f"{group[0].run}: {error}"
+            return
+        fit = accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
+        self._fits.setdefault(sensor.name, []).append(fit)
+
+    def _points_of(self, axis: str) -> list[SinePoint]:
+        return [point for point in self.everything() if point.axis == axis]
+
+    def everything(self) -> list[SinePoint]:
+        """All points of all runs."""
+        return [point for group in self.points.values() for point in group]
+
+    def results(self) -> Iterator[Result]:
+        bench, chain = self._bench, self._chain
+        if chain is None:
+            return
+        limits = bench.alignment
+        setup = accelerometers.Setup(chain, limits.beam, limits.mount, bench.temperature)
+        remount = accelerometers.remount_of(self._fits)
+        for name in [one for one in self._unusable if one not in self._whole]:
+            yield not_determined(name, "sensitivity", "sensitivity at low frequency", SENSITIVITY, self._unusable[name])
+        for name, fit in self._whole.items():
+            sensor = bench.sensors[name]
+            yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
+            yield accelerometers.pole_result(fit)
+            yield accelerometers.curvature_result(fit.seen, name, chain, sensor.bandwidth)
+            for driven in "xyz":
+                points = self._points_of(driven)
+                if driven != sensor.axis and points:
+                    yield accelerometers.cross_axis_result(points, name, driven, fit)
+        yield from self._offsets()
+
+    def noise_in_motion(self, scales: Mapping[str, Scale]) -> Iterator[Result]:
+        """Of every driven channel."""
+        for name in self._whole:
+            if name in scales:
+                sensor = self._bench.sensors[name]
+                refer = partial(scales[name].result, sensor)
+                yield accelerometers.motion_noise_result(self._points_of(sensor.axis), name, sensor.unit, refer)
+
+    def _offsets(self) -> Iterator[Result]:
+        """Zero output from the records at rest in which the axis was horizontal."""
+        title = "zero output"
+        for name in self._whole:
+            sensor = self._bench.sensors[name]
+            found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
+            if not found or name not in self._bench.noise:
+                why = "no record at rest with this axis horizontal: `static` of a sweep along another axis, or a tumble"
+                yield not_determined(name, "offset", title, "V", why)
+            else:
+                yield self._offset(sensor, found)
+
+    def _offset(self, sensor: Sensor, found: Sequence[tuple[float, float, float]]) -> Result:
+        """Generalised least-squares mean: records that wander together are not counted as independent."""
+        noise = self._bench.noise[sensor.name]
+        begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
+        value, u = mean_of(volts, noise.slow.covariance(begin, end))
+        tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(self._bench.alignment.mount)
+        lines = (
+            Contribution("noise and wandering", "A", "normal", u, "V", 1.0, gyros.dof_of(noise)),
+            Contribution("tilt of the mounting", "B", "rectangular", tilt / math.sqrt(3.0), "V", 1.0,
+                         source="declared limit"),
+        )  # fmt: skip
+        method = f"mean of {len(volts)} records at rest, axis horizontal"
+        return Result(sensor.name, "offset", "zero output", value, "V", Budget(lines), method, "plumb line")
+
+    def responses(self) -> dict[str, tuple[ResponsePoint, ...]]:
+        if self._chain is None:
+            return {}
+        return {
+            name: accelerometers.response_table(self._points_of(self._bench.sensors[name].axis), fit, self._chain)
+            for name, fit in self._whole.items()
+        }
+
+    def flags(self) -> Iterator[str]:
+        for group in self.points.values():
+            for point in group:
+                for flag in (*point.flags, *(f"{n} {f}" for n, one in point.lines.items() for f in one.flags)):
+                    yield f"{point.run}, {point.frequency:.4g} Hz {point.level}: {flag}; the point was left out"
+
+
+def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
+    """Best mean of correlated values, and its standard uncertainty."""
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    weights = inverse.sum(axis=0)
+    total = float(weights.sum())
+    return float(weights @ volts) / total, total**-0.5
+
+
+def _by_axis(points: Sequence[SinePoint]) -> Iterator[list[SinePoint]]:
+    """Consecutive points of one axis: a mounting; a second sweep of the axis in the run is another one."""
+    group: list[SinePoint] = []
+    seen: set[tuple[float, str]] = set()
+    for point in points:
+        key = (round(point.frequency, 1), point.level)
+        if group and (point.axis != group[0].axis or key in seen):
+            yield group
+            group, seen = [], set()
+        group.append(point)
+        seen.add(key)
+    if group:
+        yield group
+
+
+def _level_rests(records: Recorded, sensor: Sensor) -> Iterator[tuple[float, float, float]]:
+    """Begin, end (bench clock, s) and mean volts of every record at rest on the shaker with this axis horizontal."""
+    for entry, mount in mounts(records):
+        body = entry.body
+        if (
+            entry.kind not in ("point", "step")
+            or mount is None
+            or mount["place"] != "shaker"
+            or not str(body.get("purpose", "")).startswith("static_")
+            or "samples" not in body
+            or UP[str(mount["axis"])] == "xyz".index(sensor.axis)
+        ):
+            continue
+        found = signals(records.samples(body["samples"]))
+        if sensor.name in found.names and not found.clipped.get(sensor.name):
+            start = float(body["start"])
+            yield start, start + float(body["seconds"]), float(found.of(sensor.name).mean())
+
+
+class _Turned:
+    """Everything from the turntable."""
+
+    def __init__(self, bench: _Bench) -> None:
+        self._bench = bench
+        self._rotations: dict[str, list[Rotation]] = {}
+        self._fits: dict[str, gyros.GyroFit] = {}
+        self._unusable: dict[str, str] = {}
+        self._setup: gyros.Setup | None = None
+        nominal = {n: s.nominal for n, s in bench.sensors.items()}
+        for records in bench.runs:
+            if any("phase" in body for body in records.points.values()):
+                self._setup = self._setup or self._made(records)
+                wired = records.header["bench_file"]["cables"]["turntable"]
+                channels = [c for c in wired if c in bench.sensors or c == "supply"]
+                for rotation in rotations_of(records, channels, nominal):
+                    axis = rotation.blocks[0].mount.axis
+                    self._rotations.setdefault(axis, []).append(rotation)
+        if self._setup is not None:
+            for axis, rotations in self._rotations.items():
+                for name in (f"gyro_{axis}", f"backup_{axis}"):
+                    self._fit(name, rotations, self._setup)
+
+    def _fit(self, name: str, rotations: Sequence[Rotation], setup: gyros.Setup) -> None:
+        """One gyro on the platter's axis; why it cannot be, if its records cannot be used."""
+        clipped = sum(rotation.clipped(name) for rotation in rotations)
+        if name not in self._bench.sensors:
+            return
+        if clipped:
+            self._unusable[name] = f"{rotations[0].run}: clipped ({clipped} samples)"
+        elif name not in self._bench.noise:
+            self._unusable[name] = self._bench.without_noise.get(name, "no record at rest: its noise is not known")
+        else:
+            self._fits[name] = gyros.fit_gyro(rotations, name, self._bench.noise[name], setup)
+
+    def _made(self, records: Recorded) -> gyros.Setup:
+        limits, sensors = self._bench.alignment, self._bench.sensors
+        return gyros.Setup(
+            time_base=reference(records, "time_base", "rate"),
+            tilt=limits.mount,
+            radius=limits.radius,
+            gravity=reference(records, "gravity", "gravity").value,
+            temperature=self._bench.temperature,
+            ratiometric={n: s.ratiometric for n, s in sensors.items() if s.ratiometric is not None},
+            drift={n: s.drift for n, s in sensors.items() if s.drift is not None},
+        )
+
+    def results(self) -> Iterator[Result]:
+        setup = self._setup
+        if setup is None:
+            return
+        for name, why in self._unusable.items():
+            yield not_determined(name, "sensitivity", "sensitivity", gyros.SENSITIVITY, why)
+        for axis, rotations in self._rotations.items():
+            for name in [one for one in self._bench.noise if one not in self._unusable]:
+                sensor = self._bench.sensors[name]
+                if name in self._fits and name.endswith(f"_{axis}"):
+                    yield from self._gyro(rotations, name, setup)
+                elif sensor.quantity == "rate" and name in rotations[0].blocks[0].volts:
+                    own = self._fits[name].sensitivity if name in self._fits else sensor.nominal
+                    yield gyros.coupling_result(rotations, name, axis, own, self._bench.noise[name], setup)
+        yield from self._centripetal(setup)
+
+    def _gyro(self, rotations: Sequence[Rotation], name: str, setup: gyros.Setup) -> Iterator[Result]:
+        fit = self._fits[name]
+        yield gyros.sensitivity_result(fit, setup)
+        yield gyros.offset_result(fit)
+        yield from gyros.linearity_results(rotations, fit, setup)
+
+    def _centripetal(self, setup: gyros.Setup) -> Iterator[Result]:
+        everything = [r for several in self._rotations.values() for r in several]
+        for name, noise in self._bench.noise.items():
+            sensor = self._bench.sensors[name]
+            with_it = [r for r in everything if name in r.blocks[0].volts and not r.clipped(name)]
+            if sensor.quantity == "acceleration" and with_it:
+                found = gyros.centripetal_result(with_it, name, "xyz".index(sensor.axis), noise, setup)
+                if found is not None:
+                    yield found
+
+    def noise_in_motion(self, own: Mapping[str, Scale]) -> Iterator[Result]:
+        title = "deviation in motion: output less the fitted rate, 1/30 Hz to half the sampling rate"
+        for rotations in self._rotations.values():
+            for name, lines in rotations[0].in_motion.items():
+                if name in own and name in self._bench.noise:
+                    sensor = self._bench.sensors[name]
+                    value, dof, why = resting.deviation(lines, self._bench.noise[name].fit, rotations[0].step)
+                    if value is None:
+                        yield not_determined(name, "deviation_in_motion", title, sensor.unit, why)
+                    else:
+                        how = f"hold of {lines.seconds:.4g} s ({rotations[0].run})"
+                        u = _u_deviation(value, dof)
+                        yield own[name].result(sensor, "deviation_in_motion", title, sensor.unit, value, u, how)
+
+    def flags(self) -> Iterator[str]:
+        for rotations in self._rotations.values():
+            for rotation in rotations:
+                yield from rotation.flags
+
+
+def rotations_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str, float]) -> list[Rotation]:
+    """The turntable run, one part for each gyro axis that stood on the platter's axis."""
+    whole = rotation_of(records, channels, nominal)
+    axes = dict.fromkeys(b.mount.axis for b in whole.blocks)
+    return [
+        replace(
+            whole,
+            blocks=tuple(b for b in whole.blocks if b.mount.axis == axis),
+            in_motion={n: lines for n, lines in whole.in_motion.items() if n.endswith(f"_{axis}")},
+        )
+        for axis in axes
+    ]
+
+
+def _tumble_results(bench: _Bench) -> Iterator[Result]:
+    for records in bench.runs:
+        yield from tumbling.results(records, bench.sensors, bench.noise, bench.alignment.mount)
+
+
+def _ordered(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> list[Result]:
+    """By channel as in the sensor file; of a measurand determined twice (offset: sweep and tumble) the better one."""
+    best: dict[str, Result] = {}
+    for result in results:
+        before = best.get(result.key)
+        if before is None or (result.determined and (not before.determined or result.u < before.u)):
+            best[result.key] = result
+    places = {name: place for place, name in enumerate(sensors)}
+    return sorted(best.values(), key=lambda r: places.get(r.channel, len(places)))
+
+
+def _judged(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> Iterator[Result]:
+    """Sensitivities against the data sheet's tolerance, with a guard band of U."""
+    for result in results:
+        sensor = sensors.get(result.channel)
+        if result.measurand != "sensitivity" or result.value is None or sensor is None or sensor.tolerance is None:
+            yield result
+            continue
+        low, high = sorted(sensor.nominal * (1.0 + sign * sensor.tolerance) for sign in (-1.0, 1.0))
+        yield replace(result, low=low, high=high, verdict=verdict(abs(result.value), result.expanded, low, high))
+
+
+def digest_of(seal: bytes) -> str:
+    """SHA-256 of a seal's bytes."""
+    return hashlib.sha256(seal).hexdigest()

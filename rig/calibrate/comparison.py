@@ -1,0 +1,64 @@
+"""Two calibrations side by side: the same unit a year apart, or unit against unit, by normalised errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from rig.calibrate.calibration import Calibration, Result, text
+from rig.calibrate.verdict import agrees, normalised_error
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One measurand of both: values as text and in SI, the normalised error En, and whether they agree."""
+
+    key: str
+    first: str
+    second: str
+    difference: float
+    expanded: float
+    unit: str
+    en: float
+
+    @property
+    def agrees(self) -> bool:
+        return agrees(self.en)
+
+    @property
+    def words(self) -> str:
+        return "agrees" if self.agrees else "differs by more than its uncertainty"
+
+    def as_json(self) -> dict[str, Any]:
+        """SI."""
+        return {
+            "key": self.key, "difference": self.difference, "expanded": self.expanded, "unit": self.unit,
+            "en": self.en, "agrees": self.agrees,
+        }  # fmt: skip
+
+
+def compare(first: Calibration, second: Calibration) -> list[Compared]:
+    """Every measurand that both determined, in the order of the first (ISO/IEC 17043, ISO 13528)."""
+    theirs = {r.key: r for r in second.results if r.determined}
+    return [_compared(r, theirs[r.key]) for r in first.results if r.determined and r.key in theirs]
+
+
+def _compared(one: Result, other: Result) -> Compared:
+    mine, theirs = float(one.value or 0.0), float(other.value or 0.0)
+    r = correlation(one, other)
+    en = normalised_error(theirs, other.expanded, mine, one.expanded, r)
+    variance = one.expanded**2 + other.expanded**2 - 2.0 * r * one.expanded * other.expanded
+    expanded = math.sqrt(max(variance, 0.0))
+    return Compared(one.key, text(one), text(other), theirs - mine, expanded, one.unit, en)
+
+
+def correlation(one: Result, other: Result) -> float:
+    """Of two results: type B inputs of one name and source are the same error in both.
+
+    An origin that is not named (no source) is taken as independent.
+    """
+    mine = {(c.name, c.source): c.sensitivity * c.u for c in one.contributions if c.kind == "B" and c.source}
+    theirs = {(c.name, c.source): c.sensitivity * c.u for c in other.contributions if c.kind == "B" and c.source}
+    common = sum(mine[origin] * theirs[origin] for origin in mine.keys() & theirs.keys())
+    return max(-1.0, min(common / (one.u * other.u), 1.0)) if one.u and other.u else 0.0

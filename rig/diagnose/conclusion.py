@@ -1,0 +1,292 @@
+"""What a diagnosis concludes, as values to print or to write: the candidates with all that speaks for and against each.
+
+A candidate is an effect that was taken, or one that the data do not tell from it. Together they are a class, and each
+says what would tell it from the others. Where the verdict is *unlisted* a candidate is only the nearest on the shelf:
+its probability counts no more than the share that it explains, and never more than evens.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rig.diagnose.describe import Description, describe
+from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, diagnose
+from rig.diagnose.unseen import cannot_see
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence
+from rig.fit.fit import POLE_TOLERANCE, Fit
+from rig.fit.parameters import Estimate, covariance_of, estimates, independent, plausible
+from rig.fit.quality import error_at, error_of, heldout_error, worst_of
+from rig.model import Effect, Quantity, Term
+
+OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
+OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
+DETERMINED = 0.5  # of the prior uncertainty of a corner: below it the data have their say
+RANKED_BELOW = 4  # effects of a step that are said to be excluded
+EVENS = 0.5  # the highest probability of a candidate that leaves more than noise
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect that the data allow. `taken` in step `step` (from 1), or a member of that step's class.
+
+    `error_after`, `heldout_error_after`: √(χ²/n) with it in the model, noise = 1. `members` of its class, itself
+    included.
+    """
+
+    effect: str
+    title: str
+    on: Quantity | None
+    members: tuple[str, ...]
+    probability: float
+    error_after: float
+    heldout_error_after: float
+    parameters: Mapping[str, Estimate]
+    plausible: bool
+    because: str
+    separate_by: str
+    step: int
+    taken: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """As `rig diagnose --json` gives it, SI; null for what has no finite value."""
+        return {
+            "effect": self.effect,
+            "on": self.on,
+            "class": list(self.members),
+            "probability": self.probability,
+            "error_after": self.error_after,
+            "heldout_error_after": _finite(self.heldout_error_after),
+            "parameters": {name: one.as_json() for name, one in self.parameters.items()},
+            "plausible": self.plausible,
+            "because": self.because,
+            "separate_by": self.separate_by,
+            "step": self.step,
+            "taken": self.taken,
+        }
+
+
+@dataclass(frozen=True)
+class Excluded:
+    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where."""
+
+    step: int
+    effect: str
+    error_after: float
+    why: str
+
+    def as_json(self) -> dict[str, Any]:
+        """As `rig diagnose --json` gives it."""
+        return {"step": self.step, "effect": self.effect, "error_after": self.error_after, "why": self.why}
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """The verdict, the candidates best first, what an unlisted effect looks like, and what cannot be seen.
+
+    `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
+    `worst_at` says where the model as given fails most: its error there, and what is left of that.
+    """
+
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    description: str
+    cannot_see: tuple[str, ...]
+    error: float
+    heldout_error: float
+    after: float
+    heldout_after: float
+    worst_at: str
+    worst: float
+    worst_after: float
+    diagnosis: Diagnosis = field(repr=False)
+    excluded: tuple[Excluded, ...] = ()
+
+    @property
+    def taken(self) -> tuple[Candidate, ...]:
+        """The effects that were taken, in order."""
+        return tuple(one for one in self.candidates if one.taken)
+
+
+def conclude(
+    evidence: Evidence, terms: Sequence[Term], shelf: Mapping[str, Effect], *, poles: bool = True, shared: bool = False
+) -> Conclusion:
+    """Diagnose a model with these effects; `poles` says whether it has the channels' output filters, `shared` whether
+    all channels of a quantity have one sensitivity.
+
+    Without filters (the paper's model) the filter is tried first: it belongs to every channel, and what else is missing
+    shows only beside it. So are sensitivities of their own where they are shared.
+    """
+    found = concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=True), shelf)
+    if poles and not shared:
+        return found
+    base = evidence.fitted(terms, poles=poles, shared=shared)
+    if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a part of every channel would explain
+        return concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=poles, shared=shared), shelf)
+    first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base)
+    rest = [replace(one, step=one.step + 1) for one in found.candidates]
+    candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
+    at, worst = worst_of(base)
+    return replace(
+        found, verdict="missing" if found.verdict == "adequate" else found.verdict, candidates=tuple(candidates),
+        error=error_of(base), heldout_error=heldout_error(evidence, base), worst_at=at, worst=worst,
+        worst_after=error_at(found.diagnosis.final, at),
+    )  # fmt: skip
+
+
+def _output_filter(evidence: Evidence, found: Fit) -> Candidate:
+    """The output filter of every channel, with the corners that this data determines."""
+    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    poles = {}
+    for number, part in enumerate(found.parts):
+        own, local = found.layout.own(part, number)[:, 1], found.state.local(part, number)
+        for name, at, pole in zip(part.channels.names, own, local.pole, strict=True):
+            if u[at] < DETERMINED * POLE_TOLERANCE:
+                poles[f"corner {name}"] = Estimate(float(pole), "Hz", float(pole * u[at]))
+    return Candidate(
+        effect=OUTPUT_FILTER, title="output filter of every channel", on=None, members=(OUTPUT_FILTER,),
+        probability=1.0, error_after=error_of(found), heldout_error_after=heldout_error(evidence, found),
+        parameters=poles, plausible=True,
+        because="gain falls and phase lags with frequency as one pole per channel, at the corner of its data sheet",
+        separate_by="a sweep past the corner: one pole falls by 20 dB per decade", step=1, taken=True,
+    )  # fmt: skip
+
+
+def _own_sensitivity(evidence: Evidence, found: Fit) -> Candidate:
+    """A sensitivity of its own for every channel, relative to that of its data sheet."""
+    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    gains = {}
+    for number, part in enumerate(found.parts):
+        own = found.layout.own(part, number)[:, 0]
+        for name, at in zip(part.channels.names, own, strict=True):
+            gains[f"sensitivity {name}"] = Estimate(1.0 + found.state.gain[name], "1", float(u[at]))
+    return Candidate(
+        effect=OWN_SENSITIVITY, title="a sensitivity of its own for every channel", on=None, members=(OWN_SENSITIVITY,),
+        probability=1.0, error_after=error_of(found), heldout_error_after=heldout_error(evidence, found),
+        parameters=gains, plausible=True,
+        because="the error is in proportion to the input, with another factor in every channel",
+        separate_by="the same input along each axis in turn", step=1, taken=True,
+    )  # fmt: skip
+
+
+def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effect]) -> Conclusion:
+    """Everything there is to say about a diagnosis."""
+    found = list(_candidates(evidence, diagnosis))
+    # what was taken comes first, then what it could be instead
+    found.sort(key=lambda one: (not one.taken, one.step, -one.probability))
+    at, worst = worst_of(diagnosis.base)
+    return Conclusion(
+        worst_at=at,
+        worst=worst,
+        worst_after=error_at(diagnosis.final, at),
+        verdict=diagnosis.verdict,
+        candidates=tuple(found),
+        description=description(evidence, diagnosis) if diagnosis.verdict == "unlisted" else "",
+        cannot_see=cannot_see(evidence, diagnosis.scores, shelf, diagnosis.misplaced),
+        error=error_of(diagnosis.base),
+        heldout_error=heldout_error(evidence, diagnosis.base),
+        after=error_of(diagnosis.final),
+        heldout_after=heldout_error(evidence, diagnosis.final),
+        diagnosis=diagnosis,
+        excluded=tuple(_excluded(diagnosis)),
+    )
+
+
+def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
+    """The next best of every step, beside all other steps' effects where they were refitted so."""
+    for number, step in enumerate(diagnosis.steps, 1):
+        apart = [one for one in step.others if one not in step.members and one.fit is not None]
+        for choice in sorted(apart, key=lambda one: -one.gain)[:RANKED_BELOW]:
+            assert choice.fit is not None
+            worst = adequacy.worst(choice.fit)
+            where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
+            if not choice.possible:
+                where += "; its size is outside what physics allows"
+            elif choice.gain > step.taken.gain - CLASS:
+                where += "; this data does not exclude it"
+            yield Excluded(number, choice.term.key, error_of(choice.fit), where)
+
+
+def _candidates(evidence: Evidence, diagnosis: Diagnosis) -> Iterator[Candidate]:
+    for number, step in enumerate(diagnosis.steps, 1):
+        members = tuple(dict.fromkeys([step.taken.name, *(one.name for one in step.members)]))
+        for choice in step.members:
+            yield _candidate(evidence, diagnosis, step, number, choice, members)
+
+
+def _candidate(
+    evidence: Evidence, diagnosis: Diagnosis, step: Step, number: int, choice: Choice, members: tuple[str, ...]
+) -> Candidate:
+    is_taken = choice is step.taken
+    fit = step.after if is_taken or choice.fit is None else choice.fit
+    term = fit.state.terms[-1] if fit.state.terms else choice.term
+    term = choice.term if term.effect.name != choice.name or choice.term.effect.looks_in else term
+    by_test = bool(choice.term.effect.looks_in)
+    covariance = independent(term, choice.u) if by_test else covariance_of(fit, len(fit.state.terms) - 1)
+    return Candidate(
+        effect=choice.name,
+        title=term.effect.title,
+        on=term.on,
+        members=members,
+        probability=_probability(diagnosis, choice),
+        error_after=error_of(fit),
+        heldout_error_after=heldout_error(evidence, fit),
+        parameters=estimates(term, covariance),
+        plausible=plausible(term),
+        because=choice.because,
+        separate_by=term.effect.separate_by,
+        step=number,
+        taken=is_taken,
+    )
+
+
+def _probability(diagnosis: Diagnosis, choice: Choice) -> float:
+    if diagnosis.verdict != "unlisted":
+        return choice.probability
+    return min(EVENS, choice.probability * min(max(diagnosis.explained, 0.0), 1.0))
+
+
+def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
+    """What an unlisted effect looks like: the nearest on the shelf, its laws, and a formula to try as a term."""
+    said = [nearest(diagnosis), *_laws(describe(evidence, diagnosis.base))]
+    groups = sorted((g for g in adequacy.groups(diagnosis.final) if g.z > adequacy.LIMIT), key=lambda g: -g.z)
+    if groups:
+        domains = dict.fromkeys(group.domain for group in groups)
+        channels = dict.fromkeys(group.channel for group in groups)
+        said.append(
+            f"what is left shows in {', '.join(list(domains)[:4])} of {_some(list(channels))}, "
+            f"most in {groups[0].channel} at {groups[0].domain}: {groups[0].ratio:.3g} times the noise"
+        )
+    return "; ".join(said)
+
+
+def _laws(found: Description) -> Iterator[str]:
+    """Domain, exponents, orders and parity in words, and how to try the formula."""
+    yield from found.words
+    if found.formula:
+        yield f"to try: rig add NAME RUN... --formula '{found.formula}' --on {found.on}"
+
+
+def nearest(diagnosis: Diagnosis) -> str:
+    """`nearest: X, explains N %`: not a cause."""
+    if diagnosis.steps:
+        names = " and ".join(step.taken.name for step in diagnosis.steps)
+        return f"nearest: {names}, explains {100.0 * diagnosis.explained:.0f} %"
+    best = max(diagnosis.scores, key=lambda one: one.gain, default=None)
+    excess = adequacy.excess(diagnosis.base)
+    if best is None or excess <= 0.0 or best.gain <= 0.0:
+        return "nothing on the shelf comes near"
+    return f"nearest: {best.term.effect.name}, explains {100.0 * min(best.gain / excess, 1.0):.0f} %"
+
+
+def _some(names: list[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more channels" if len(names) > most else "")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,411 @@
+"""What an effect that is on no shelf looks like: where it shows, how it grows, and a formula to try as a term.
+
+A small library of formulas is scored against what the model leaves over, alone and in pairs, and the best is refitted
+with all parameters of the model. Exponents are read from what is left once the formula's term is taken out again: the
+model's own parameters stay where the formula has put them, so that they hide nothing of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.diagnose import search
+from rig.diagnose.search import Candidate, Score
+from rig.fit import adequacy
+from rig.fit.adequacy import Group
+from rig.fit.evidence import Evidence
+from rig.fit.fit import Fit, State
+from rig.formula import formula_effect, parse, term_of
+from rig.model import Quantity, Term
+from rig.motion import Array
+from rig.parts.part import Part
+from rig.parts.sines import Sines
+from rig.parts.turning import Turning
+
+Parity = Literal["even", "odd", "both", "unseen"]
+CHANCE = 25.0  # χ² that the best of the library gains by chance
+WORTH = 0.01  # of the first term's gain: a second must bring more
+PAIRED = 6  # best single terms that are tried in pairs
+REFITS = 3
+SHARE = 0.1  # of the strongest order's gain
+WHOLE = 0.95  # share of the excess: a formula that explains as much is taken as the truth
+COMPETES = 0.5  # of the best gain: a family of terms that does worse does not describe it
+SEEN = 3.0  # standard deviations
+SLACK = 0.05  # relative: no power law is exact
+FLAT = 0.1  # exponent of what does not depend on something
+PURE = 0.85  # share of the squares that makes a parity
+TIMES = (20.0, 60.0, 200.0, 600.0)  # s
+PER_TURN = (*range(1, 17), 18, 20, 24)
+NEAR = 0.1  # relative difference of two rates that are compared
+
+_ANYWHERE = (
+    "u**2", "u**3", "u**4", "u**5", "u*abs(u)", "abs(u)", "sign(u)*sqrt(abs(u))", "T", "T*u", "Vs", "Vs*u",
+    "t", "t*u", "exp(-t/{tau})", "u*exp(-t/{tau})",
+)  # fmt: skip
+_SHAKER = (
+    "log(f)*u", "f*u", "f**2*u", "u/f", "A", "A*u", "A**2", "f*A", "V", "V**2", "V*abs(V)", "V*f", "V/f",
+    "x", "y", "z", "x**2", "y**2", "z**2",
+)  # fmt: skip
+_TURNTABLE = (
+    "omega", "abs(omega)", "omega**2", "omega**3", "omega*abs(omega)", "sqrt(abs(omega))",
+    "sign(omega)*sqrt(abs(omega))", "alpha", "x", "y", "z",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Description:
+    """An unlisted effect in so far as the data show it.
+
+    `domains` (lines, bands) and `channels` that stand out of the noise, most so first. `exponents`: powers of
+    'frequency' and 'level' (shaker) or 'rate' (turntable) by which it grows. `orders` per revolution. `parity`: even if
+    it stays the same when input or sense are reversed, odd if it changes its sign. `growth`: share of the formula's
+    gain that a term in time alone would have. `formula`, `on`, `starts` and `only` (its channels, () for all) go to
+    `rig.formula.formula_effect`; '' without a formula.
+    `term` is the formula refitted, `u` standard uncertainties of its coefficients, `explained` the share of the excess
+    over the noise that it takes away.
+    """
+
+    domains: tuple[str, ...]
+    channels: tuple[str, ...]
+    exponents: Mapping[str, float]
+    orders: tuple[int, ...]
+    parity: Parity
+    growth: float
+    formula: str
+    on: Quantity | None
+    starts: Mapping[str, tuple[float, ...]]
+    only: tuple[str, ...]
+    term: Term | None
+    u: Mapping[str, float]
+    gain: float
+    explained: float
+    words: tuple[str, ...]
+    fit: Fit | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One formula of the library for channels of one quantity, and its score."""
+
+    shapes: tuple[str, ...]
+    on: Quantity
+    only: tuple[str, ...]
+    score: Score
+
+    @property
+    def gain(self) -> float:
+        return self.score.gain
+
+
+def describe(evidence: Evidence, fit: Fit) -> Description:
+    """Describe what a fitted model of this evidence leaves over."""
+    standing = sorted((g for g in adequacy.groups(fit) if g.z > adequacy.LIMIT and g.count > 1), key=lambda one: -one.z)
+    singles = sorted(_singles(evidence, fit), key=lambda one: -one.gain)
+    chosen, found = _chosen(fit, singles)
+    some = _channels_alone(evidence, standing)
+    if some and _explained(fit, found) < WHOLE:
+        theirs = sorted(_singles(evidence, fit, some), key=lambda one: -one.gain)
+        alone = _chosen(fit, theirs)
+        if alone[1] is not None and (found is None or alone[1].gain > found.gain + CHANCE):
+            (chosen, found), singles = alone, theirs
+    if found is None or found.gain < CHANCE:
+        chosen, found = None, None
+    orders, growth = _orders(singles), _growth(singles, chosen)
+    made = Description(
+        domains=tuple(dict.fromkeys(g.domain for g in standing)),
+        channels=tuple(dict.fromkeys(g.channel for g in standing)),
+        exponents=_exponents(fit, found, standing),
+        orders=orders,
+        parity=_parity(fit, found, standing),
+        growth=growth,
+        formula=_text(chosen.shapes) if chosen else "",
+        on=chosen.on if chosen else None,
+        starts=_starts(chosen.shapes) if chosen else {},
+        only=chosen.only if chosen else (),
+        term=found.term if found else None,
+        u=found.u if found else {},
+        gain=found.gain if found else 0.0,
+        explained=_explained(fit, found),
+        words=(),
+        fit=found.fit if found else None,
+    )
+    return replace(made, words=tuple(_words(made, standing)))
+
+
+def _explained(fit: Fit, found: Candidate | None) -> float:
+    before = adequacy.excess(fit)
+    return 1.0 - adequacy.excess(found.fit) / before if found and before > 0.0 else 0.0
+
+
+def library(places: frozenset[str]) -> list[str]:
+    """Shapes that are tried at these places, without their coefficient."""
+    found = list(_ANYWHERE)
+    if "shaker" in places:
+        found += _SHAKER
+    if "turntable" in places:
+        turned = (f"{factor}{wave}({order}*theta)" for order in PER_TURN for factor, wave in _WAVES)
+        found += [*_TURNTABLE, *turned]
+    return list(dict.fromkeys(found))
+
+
+_WAVES = tuple(itertools.product(("", "omega*"), ("sin", "cos")))
+
+
+def _text(shapes: Sequence[str]) -> str:
+    """The shapes with a coefficient each, as one formula."""
+    alone = len(shapes) == 1
+    return " + ".join(f"k{'' if alone else n}*{shape.format(tau='tau')}" for n, shape in enumerate(shapes, 1))
+
+
+def _starts(shapes: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    return {"tau": TIMES} if any("{tau}" in shape for shape in shapes) else {}
+
+
+def _term(shapes: Sequence[str], on: Quantity, only: tuple[str, ...]) -> Term:
+    return term_of(formula_effect("unlisted", _text(shapes), on=on, starts=_starts(shapes), channels=only))
+
+
+def _channels_alone(evidence: Evidence, standing: Sequence[Group]) -> tuple[str, ...]:
+    """Channels that stand out if others do not."""
+    every = {name for part in evidence.parts for name in part.channels.names}
+    found = {one.channel for one in standing}
+    return tuple(sorted(found)) if found and found != every else ()
+
+
+def _singles(evidence: Evidence, fit: Fit, only: tuple[str, ...] = ()) -> Iterator[_Tried]:
+    places = frozenset(part.place for part in evidence.parts)
+    rates = {bool(r) for part in evidence.parts for r in part.channels.rates}
+    for on in _quantities(rates):
+        shapes = [(shape,) for shape in library(places)]
+        yield from _scored(fit, shapes, on, only)
+
+
+def _quantities(rates: set[bool]) -> list[Quantity]:
+    both: tuple[tuple[bool, Quantity], ...] = ((False, "acceleration"), (True, "rate"))
+    return [on for rate, on in both if rate in rates]
+
+
+def _scored(fit: Fit, shapes: Sequence[tuple[str, ...]], on: Quantity, only: tuple[str, ...]) -> list[_Tried]:
+    terms = [_term(one, on, only) for one in shapes]
+    scores = search.scores(fit, terms)
+    by_effect = {term.effect: one for term, one in zip(terms, shapes, strict=True)}
+    return [_Tried(by_effect[score.term.effect], on, only, score) for score in scores]
+
+
+def _chosen(fit: Fit, singles: Sequence[_Tried]) -> tuple[_Tried | None, Candidate | None]:
+    """The best formula of one term, or of two if the second is worth it, refitted."""
+    if not singles:
+        return None, None
+    one = _best(fit, singles[:REFITS])
+    two = _best(fit, sorted(_pairs(fit, singles), key=lambda tried: -tried.gain)[:REFITS])
+    if two is not None and one is not None and two[1].gain - one[1].gain > max(CHANCE, WORTH * one[1].gain):
+        return two
+    return one or (None, None)
+
+
+def _best(fit: Fit, tried: Sequence[_Tried]) -> tuple[_Tried, Candidate] | None:
+    refits = [(one, search.refitted(fit, one.score)) for one in tried if one.gain > 0.0]
+    return max(refits, key=lambda pair: pair[1].gain, default=None)
+
+
+def _pairs(fit: Fit, singles: Sequence[_Tried]) -> list[_Tried]:
+    """Pairs of the best terms of one quantity, and of sines with their cosines."""
+    on = singles[0].on
+    best = [one.shapes[0] for one in singles if one.on == on][:PAIRED]
+    pairs = list(itertools.combinations(best, 2))
+    pairs += [(shape, shape.replace("sin(", "cos(")) for shape in best if "sin(" in shape]
+    pairs += [(shape.replace("cos(", "sin("), shape) for shape in best if "cos(" in shape]
+    one_time = [
+        pair for pair in dict.fromkeys(tuple(sorted(pair)) for pair in pairs) if not all("{tau}" in s for s in pair)
+    ]
+    return _scored(fit, [(a, b) for a, b in one_time], on, singles[0].only)
+
+
+def _orders(singles: Sequence[_Tried]) -> tuple[int, ...]:
+    """Orders per revolution that stand out, strongest first, if waves of the angle describe what is left."""
+    gains: dict[int, float] = {}
+    for one in singles:
+        if "theta" in one.shapes[0]:
+            order = int(one.shapes[0].partition("(")[2].partition("*")[0])
+            gains[order] = max(gains.get(order, 0.0), one.gain)
+    most = max(gains.values(), default=0.0)
+    if most < max(CHANCE, COMPETES * singles[0].gain):
+        return ()
+    strong = [order for order, gain in gains.items() if gain > max(CHANCE, SHARE * most)]
+    return tuple(sorted(strong, key=lambda order: -gains[order]))
+
+
+def _growth(singles: Sequence[_Tried], chosen: _Tried | None) -> float:
+    timed = [one.gain for one in singles if "t" in parse(_text(one.shapes)).signals]
+    return min(1.0, max(timed, default=0.0) / chosen.gain) if chosen and chosen.gain > 0.0 else 0.0
+
+
+# exponents and parity
+
+
+def _bared(fit: Fit, found: Candidate | None) -> State:
+    """Parameters of the model as they are beside a formula that explains everything, without the formula."""
+    if found is None or _explained(fit, found) < WHOLE:
+        return fit.state
+    state = found.fit.state
+    return replace(state, terms=tuple(term for term in state.terms if term.effect is not found.term.effect))
+
+
+def _left(part: Sines | Turning, number: int, state: State, row: int) -> NDArray[np.inexact]:
+    """What a channel shows beyond the model, in SI units: lines (p, LINES) or windows (n,)."""
+    raw = part.raw(state.local(cast(Part, part), number), state.terms)
+    return np.asarray((part.data.observed[row] - raw[row]) / part.channels.sensitivity[row])
+
+
+def _where(fit: Fit, group: Group) -> tuple[int, Sines | Turning, int]:
+    number = next(n for n, part in enumerate(fit.parts) if part.name == group.part)
+    part = fit.parts[number]
+    assert isinstance(part, (Sines, Turning))
+    return number, part, part.channels.names.index(group.channel)
+
+
+def _exponents(fit: Fit, found: Candidate | None, standing: Sequence[Group]) -> dict[str, float]:
+    """Powers of frequency and level in the clearest line, of the rate in the clearest channel's means."""
+    state = _bared(fit, found)
+    result: dict[str, float] = {}
+    lines = [one for one in standing if one.place == "shaker" and one.domain.endswith("f")]
+    means = [one for one in standing if one.place == "turntable" and one.domain == "mean, moving"]
+    if lines:
+        result |= _of_line(*_where(fit, lines[0]), state, int(lines[0].domain[:-1]))
+    if means:
+        result |= _of_rate(*_where(fit, means[0]), state)
+    return result
+
+
+def _of_line(number: int, part: Sines | Turning, row: int, state: State, order: int) -> dict[str, float]:
+    assert isinstance(part, Sines)
+    data = part.data
+    f = order * data.frequency
+    pole = state.local(cast(Part, part), number).pole[row]
+    size = np.abs(_left(part, number, state, row)[:, order] * (1.0 + 1j * f / pole))  # before the output filter
+    sigma = np.sqrt(data.variance[row, :, order] * (1.0 + (f / pole) ** 2)) / abs(part.channels.sensitivity[row])
+    used = data.usable[row] & (data.frequency > 0.0) & np.isfinite(size) & np.isfinite(sigma)
+    against = {"frequency": data.frequency[used], "level": np.abs(data.shown[used, 1])}
+    return _powers(size[used], math.sqrt(2.0) * sigma[used], against)
+
+
+def _of_rate(number: int, part: Sines | Turning, row: int, state: State) -> dict[str, float]:
+    rate, mean, sigma = _stretches(number, part, row, state)
+    used = np.abs(rate) > 0.0
+    return _powers(np.abs(mean[used]), sigma[used], {"rate": np.abs(rate[used])})
+
+
+def _stretches(number: int, part: Sines | Turning, row: int, state: State) -> tuple[Array, Array, Array]:
+    """Mean rate in the case, mean of what is left of a channel, SI, and its standard deviation, for every stretch."""
+    assert isinstance(part, Turning)
+    data, left = part.data, _left(part, number, state, row).real
+    upward = data.up[int(np.argmax(np.abs(data.up[:, 0])))]  # the platter turns one way, the cube is turned over
+    rate = np.array([(upward * data.counted.rate)[begin:end].mean() for begin, end in data.stretches])
+    mean = np.array([left[begin:end].mean() for begin, end in data.stretches])
+    spans = (np.array([[0.0], [(end - begin) * data.interval]]) for begin, end in data.stretches)
+    variance = np.array([data.noise[row].covariance(*span)[0, 0] for span in spans])
+    return rate, mean, np.sqrt(variance) / abs(float(part.channels.sensitivity[row]))
+
+
+def _powers(size: Array, noise: Array, against: Mapping[str, Array]) -> dict[str, float]:
+    """Exponents of what varies by a factor of 1.3 at least: size² = (c·Π xᵖ)² + noise², give or take some per cent."""
+    from scipy.optimize import least_squares
+
+    varying = {name: np.log(one) for name, one in against.items() if len(one) > 2 and one.max() > 1.3 * one.min() > 0.0}
+    seen = size > SEEN * noise
+    if np.count_nonzero(seen) < len(varying) + 3 or not varying:
+        return {}
+    columns = np.column_stack([np.ones(len(size)), *(one - one.mean() for one in varying.values())])
+    start = np.linalg.lstsq(columns[seen], np.log(size[seen]), rcond=None)[0]
+    spread = np.hypot(noise, SLACK * size)
+
+    def missed(powers: Array) -> Array:
+        made = np.exp(np.clip(columns @ powers, -60.0, 60.0))
+        return np.asarray((size - np.hypot(made, noise)) / spread)
+
+    solution = least_squares(missed, start, loss="soft_l1").x
+    return dict(zip(varying, solution[1:].tolist(), strict=True))
+
+
+def _parity(fit: Fit, found: Candidate | None, standing: Sequence[Group]) -> Parity:
+    if not standing:
+        return "unseen"
+    if standing[0].place == "shaker":
+        lines = [
+            one for one in standing if one.place == "shaker" and (one.domain.endswith("f") or one.domain == "mean")
+        ]
+        even = sum(one.chi2 - one.count for one in lines if one.domain in ("mean", "2f", "4f"))
+        return _named(even, sum(one.chi2 - one.count for one in lines) - even)
+    means = [one for one in standing if one.domain == "mean, moving"]
+    return _of_senses(fit, found, means[0]) if means else "unseen"
+
+
+def _of_senses(fit: Fit, found: Candidate | None, group: Group) -> Parity:
+    """Sum against difference of stretches that turn alike in both senses."""
+    rate, mean, sigma = _stretches(*_where(fit, group), _bared(fit, found))
+    even = odd = noise = 0.0
+    for k in np.flatnonzero(rate > 0.0):
+        j = int(np.argmin(np.abs(rate + rate[k])))
+        if abs(rate[j] + rate[k]) < NEAR * rate[k]:
+            even, odd = even + (mean[k] + mean[j]) ** 2, odd + (mean[k] - mean[j]) ** 2
+            noise += sigma[k] ** 2 + sigma[j] ** 2
+    return _named(even, odd) if even + odd > SEEN**2 * noise > 0.0 else "unseen"
+
+
+def _named(even: float, odd: float) -> Parity:
+    total = even + odd
+    if total <= 0.0:
+        return "unseen"
+    return "even" if even > PURE * total else "odd" if odd > PURE * total else "both"
+
+
+# words
+
+_PARITY: Mapping[Parity, str] = {
+    "even": "It is the same when the input or the sense is reversed.",
+    "odd": "It changes its sign when the input or the sense is reversed.",
+    "both": "One part of it changes its sign when the input or the sense is reversed, another does not.",
+}
+_OF = {"frequency": "frequency", "level": "acceleration", "rate": "rate of rotation"}
+
+
+def _words(one: Description, standing: Sequence[Group]) -> Iterator[str]:
+    if not standing:
+        yield "Nothing stands out of the noise."
+    else:
+        group = standing[0]
+        yield f"It stands out of the noise in {_some(one.domains)} of {_some(one.channels)}."
+        yield f"It is clearest in {group.domain} of {group.channel}, {group.ratio:.3g} times the noise."
+    growing = [f"{_OF[n]} to the power {value:.1f}" for n, value in one.exponents.items() if abs(value) >= FLAT]
+    flat = [_OF[name] for name, value in one.exponents.items() if abs(value) < FLAT]
+    if growing:
+        yield f"It grows as {' and '.join(growing)}."
+    if flat:
+        yield f"It does not depend on {' or '.join(flat)}."
+    if one.orders:
+        yield f"It repeats {_some([f'{order}' for order in one.orders])} times per revolution."
+    if one.parity in _PARITY:
+        yield _PARITY[one.parity]
+    if one.growth > 1.0 - SHARE:
+        yield "It changes with time, and time alone describes it."
+    if one.term is not None:
+        units = dict(zip((p.name for p in one.term.effect.parameters), one.term.effect.units(one.on), strict=True))
+        values = ", ".join(
+            f"{name} = ({value:.4g} ± {one.u.get(name, math.nan):.2g}) {units[name]}"
+            for name, value in one.term.at.items()
+        )
+        those = f"{_some(one.only)} only" if one.only else f"all channels of {one.on}"
+        yield f"A term to try, on {those}: {one.formula} with {values}."
+        yield f"It takes {one.gain:.4g} off χ²" + (f" and explains {one.explained:.0%}." if standing else ".")
+
+
+def _some(names: Sequence[str], most: int = 4) -> str:
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")

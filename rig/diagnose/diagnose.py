@@ -1,0 +1,318 @@
+"""What a model is missing: instruments first, then the shelf, one effect after another, until only noise is left.
+
+Every step takes the effect with the largest merit: the χ² that it removes after a full refit, less what chance gives to
+the best of so many candidates, less how unusual it is. A step is taken only if chance would hardly do as well. Effects
+that the data cannot tell from the one taken form its class. When no effect brings the rows to their noise, the verdict
+is *unlisted*, and the best candidate is only the nearest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from rig.diagnose import instruments, search
+from rig.diagnose.instruments import Finding
+from rig.diagnose.search import Candidate, Score
+from rig.fit import adequacy
+from rig.fit import fit as fitting
+from rig.fit.evidence import Evidence
+from rig.fit.fit import Fit
+from rig.model import Effect, Term
+from rig.parts.part import Tabled
+from rig.shelf import shelf as shelf_of
+
+Verdict = Literal["adequate", "missing", "unlisted"]
+CHANCE = 16.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
+PER_COORDINATE = 5.0  # more of it for each further coordinate
+PER_START = 1.5  # and for every factor e of starts tried
+FINDING = 30.0  # evidence that a test of its own must have
+CLASS = 9.0  # χ² within which another effect is not excluded by the data
+LARGEST_CLASS = 3
+MOST_STEPS = 4
+REFITS = 8
+SHARE = 2e-3  # of the first effect's gain: a later effect must be worth more than the first one's own imprecision
+PAIRS = 8  # first effects that pairs are begun with
+PAIR_REFITS = 3
+QUARTER = 0.25  # of the misfit in excess of the noise
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One effect as it competes in a step: what it removes, how probable it is, and whether the data exclude it."""
+
+    term: Term
+    u: Mapping[str, float]
+    gain: float
+    merit: float
+    probability: float
+    because: str
+    fit: Fit | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        return self.term.effect.name
+
+    @property
+    def possible(self) -> bool:
+        """Whether physics allows its size."""
+        return self.merit > -math.inf
+
+
+@dataclass(frozen=True)
+class Step:
+    """One missing effect: the choice taken, its class (itself first), all choices, the fits before and after."""
+
+    taken: Choice
+    members: tuple[Choice, ...]
+    others: tuple[Choice, ...]
+    before: Fit = field(repr=False)
+    after: Fit = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing. `base` is the model as given, `final` with all steps taken; `scores` of the whole shelf."""
+
+    verdict: Verdict
+    steps: tuple[Step, ...]
+    base: Fit = field(repr=False)
+    final: Fit = field(repr=False)
+    scores: tuple[Score, ...] = field(repr=False)
+    explained: float = 0.0  # share of the excess that the steps explain
+    misplaced: tuple[str, ...] = ()  # implausible metadata
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the effects taken, in order."""
+        return tuple(step.taken.name for step in self.steps)
+
+
+def diagnose(
+    evidence: Evidence, terms: Sequence[Term] = (), *, shelf: Mapping[str, Effect] | None = None, poles: bool = True,
+    shared: bool = False,
+) -> Diagnosis:  # fmt: skip
+    """Find what is missing in a model with these effects, without reading anything but the evidence."""
+    shelf = shelf_of() if shelf is None else shelf
+    base = evidence.fitted(terms, poles=poles, shared=shared)
+    misplaced = tuple(instruments.implausible(base))
+    steps: list[Step] = []
+    current = base
+    first_scores: tuple[Score, ...] = ()
+    memory: search.Memory = {}
+    for _ in range(MOST_STEPS):
+        step, scored = _step(evidence, current, shelf, steps, memory)
+        first_scores = first_scores or scored
+        if step is None:
+            break
+        steps.append(step)
+        current = step.after
+        steps, current = _exchanged(steps, base, current, shelf, memory)
+    if steps and not adequacy.adequate(current):
+        steps, current = _paired(steps, base, current, shelf, memory)
+    steps, current = _pruned(steps, current)
+    return _concluded(base, current, steps, first_scores, misplaced, evidence.imported)
+
+
+def _step(
+    evidence: Evidence, current: Fit, shelf: Mapping[str, Effect], before: Sequence[Step], memory: search.Memory
+) -> tuple[Step | None, tuple[Score, ...]]:
+    there = {term.effect.name for term in current.state.terms if not term.prior}
+    for finding in instruments.findings(evidence, shelf, there):
+        if finding.evidence > FINDING:
+            return _by_test(evidence, current, finding), ()
+    scored = search.scores(current, search.possible(shelf, current), memory)
+    choices = _choices(current, scored)
+    least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
+    if not choices or choices[0].merit <= 0.0 or choices[0].gain < least:
+        return None, tuple(scored)
+    return _taken(current, choices), tuple(scored)
+
+
+def _taken(current: Fit, choices: Sequence[Choice]) -> Step:
+    """The step that the best of the choices makes, with those that the data do not tell from it."""
+    best = choices[0]
+    assert best.fit is not None
+    after = fitting.fit(current.parts, best.fit.state, use=current.use)
+    best = replace(best, u=after.u(len(after.state.terms) - 1))
+    # where more than noise is left, a difference counts for less (Birge)
+    apart = CLASS * max(1.0, after.chi2 / max(after.count, 1))
+    near = [k for k, one in enumerate(choices) if k and one.possible and one.gain > best.gain - apart]
+    near = near[: LARGEST_CLASS - 1]
+    members = (best, *(_polished(choices[k]) for k in near))
+    rest = (one for k, one in enumerate(choices) if k and k not in near)
+    return Step(best, members, (*members, *rest), current, after)
+
+
+def _exchanged(
+    steps: list[Step], base: Fit, current: Fit, shelf: Mapping[str, Effect], memory: search.Memory
+) -> tuple[list[Step], Fit]:
+    """Every earlier step looked at again beside the later ones: another effect may now do better in its place.
+
+    What was taken first was the best alone; two effects together need not contain it.
+    """
+    for place in range(len(steps) - 1):
+        old = steps[place].taken
+        if old.term.effect.looks_in:
+            continue
+        others = [one.taken.term for k, one in enumerate(steps) if k != place]
+        without = _with_terms(base, [_at(current, term) for term in others])
+        scored = search.scores(without, search.possible(shelf, without), memory)
+        choices = _choices(without, scored)
+        was = without.objective - current.objective - chance_of(old.term) - 2.0 * old.term.effect.rarity
+        if choices and choices[0].name != old.name and choices[0].merit > was + CLASS:
+            step = _taken(without, choices)
+            steps, current = _rebuilt(base, [*steps[:place], step, *steps[place + 1 :]]), step.after
+    return steps, current
+
+
+def _paired(
+    steps: list[Step], base: Fit, current: Fit, shelf: Mapping[str, Effect], memory: search.Memory
+) -> tuple[list[Step], Fit]:
+    """The best pair that begins with one of the first step's other choices, if it does better than all steps so far.
+
+    The best effect alone may be a bad half of two, and no exchange of one at a time leads away from it.
+    """
+    best: tuple[Choice, Fit, list[Choice]] | None = None
+    lowest = current.objective - CLASS
+    for choice in [one for one in steps[0].others if one.fit is not None and one.possible][1:PAIRS]:
+        first = _with_terms(base, [choice.term])
+        seconds = _choices(first, search.scores(first, search.possible(shelf, first), memory), PAIR_REFITS)
+        if seconds and first.objective - seconds[0].gain < lowest and seconds[0].merit > 0.0:
+            best, lowest = (choice, first, seconds), first.objective - seconds[0].gain
+    if best is None:
+        return steps, current
+    chosen, other = best[0].term, best[2][0].term
+    made = [_alone(_with_terms(base, [other]), chosen, shelf, memory), _alone(best[1], other, shelf, memory)]
+    return _rebuilt(base, made), made[1].after
+
+
+def _alone(without: Fit, term: Term, shelf: Mapping[str, Effect], memory: search.Memory) -> Step:
+    """The step that leads from a model without a term to one with it, and what else could be in its place."""
+    choices = _choices(without, search.scores(without, search.possible(shelf, without), memory))
+    mine = [one for one in choices if one.name == term.effect.name and one.term.on == term.on]
+    mine = mine or [_chosen(without, term)]  # by itself it may be none of those that are worth a refit
+    return _taken(without, [*mine, *(one for one in choices if one not in mine)])
+
+
+def _chosen(without: Fit, term: Term) -> Choice:
+    """A term that was decided on, with what it removes."""
+    made = _with_terms(without, [term])
+    gain = without.objective - made.objective
+    merit = gain - chance_of(term) - 2.0 * term.effect.rarity
+    return Choice(made.state.terms[-1], made.u(len(made.state.terms) - 1), gain, merit, 1.0, term.effect.missing, made)
+
+
+def _with_terms(base: Fit, terms: Sequence[Term]) -> Fit:
+    return fitting.fit(base.parts, replace(base.state, terms=(*base.state.terms, *terms)), use=base.use)
+
+
+def _at(current: Fit, term: Term) -> Term:
+    """A term where a fit has it now."""
+    return next((t for t in current.state.terms if not t.prior and t.key == term.key), term)
+
+
+def _rebuilt(base: Fit, steps: Sequence[Step]) -> list[Step]:
+    """The ladder of these steps, each with the fits before and after it."""
+    made: list[Step] = []
+    before = base
+    for step in steps:
+        after = _with_terms(before, [step.taken.term])
+        made.append(replace(step, before=before, after=after))
+        before = after
+    return made
+
+
+def _polished(choice: Choice) -> Choice:
+    """With all columns worked out afresh: a quick refit does not see what the effect itself uncovers of the model's
+    own parameters, and states too small an uncertainty.
+    """
+    assert choice.fit is not None
+    made = fitting.fit(choice.fit.parts, choice.fit.state, use=choice.fit.use)
+    return replace(choice, fit=made, u=made.u(len(made.state.terms) - 1))
+
+
+def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
+    state = replace(current.state, terms=(*current.state.terms, finding.term))
+    after = fitting.fit(current.parts, state, use=current.use)
+    gain = current.objective - after.objective
+    choice = Choice(finding.term, finding.u, max(gain, finding.evidence), finding.evidence, 1.0, finding.because, after)
+    return Step(choice, (choice,), (choice,), current, after)
+
+
+def chance(score: Score | Candidate) -> float:
+    """χ² that a candidate of this size and with so many starts may gain by chance."""
+    return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
+
+
+def _merit(current: Fit, one: Candidate) -> float:
+    """χ² that it removes, less what chance gives and how unusual it is; nothing makes up for what cannot be."""
+    if not search.admissible(one.term, one.u):
+        return -math.inf
+    return one.gain - chance(one) * _unevenness(current, one.fit) - 2.0 * one.term.effect.rarity
+
+
+def _unevenness(before: Fit, after: Fit) -> float:
+    """How many times more than χ² of even noise chance may give, by the parts in which a candidate moves anything."""
+    offsets, change = after.offsets(), before.left - after.left
+    size, found = 0.0, 0.0
+    for part, first, end in zip(after.parts, offsets, offsets[1:], strict=False):
+        weight = float(change[first:end] @ change[first:end])
+        factor = part.unevenness(change[first:end], before.left[first:end]) if isinstance(part, Tabled) else 1.0
+        size, found = size + weight, found + weight * factor
+    return found / size if size > 0.0 else 1.0
+
+
+def chance_of(term: Term) -> float:
+    """The same for a term that was refitted from one start."""
+    return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1)
+
+
+def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS) -> list[Choice]:
+    """Refits of the best, most meritorious first, with probabilities among them and against chance."""
+    top = max((score.gain for score in scored), default=0.0)
+    least = max(0.5 * CHANCE, 0.02 * top)
+    refits = search.best(current, scored, most, least)
+    merits = [_merit(current, one) for one in refits]
+    highest = max([*merits, 0.0])
+    weights = [math.exp(0.5 * (merit - highest)) for merit in merits]
+    total = sum(weights) + math.exp(-0.5 * highest)
+    made = [
+        Choice(one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit)
+        for one, merit, weight in zip(refits, merits, weights, strict=True)
+    ]
+    return sorted(made, key=lambda one: -one.merit)
+
+
+def _pruned(steps: list[Step], current: Fit) -> tuple[list[Step], Fit]:
+    """Without steps that the later ones have made needless."""
+    for place in range(len(steps) - 2, -1, -1):
+        step = steps[place]
+        if step.taken.term.effect.looks_in:
+            continue
+        terms = tuple(t for t in current.state.terms if t.prior or t.key != step.taken.term.key)
+        without = fitting.fit(current.parts, replace(current.state, terms=terms), use=current.use)
+        if without.objective - current.objective < CHANCE:
+            steps = [one for one in steps if one is not step]
+            current = without
+    return steps, current
+
+
+def _concluded(
+    base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], misplaced: tuple[str, ...], imported: bool
+) -> Diagnosis:
+    before, after = adequacy.excess(base), adequacy.excess(final)
+    fine = adequacy.adequate(final)
+    if imported and steps:  # references of others are less perfect: no more is left than the steps' own error
+        fine = fine or after < SHARE * (base.objective - final.objective)
+    explained = 1.0 - after / before if before > 0.0 else 1.0
+    verdict: Verdict
+    if not fine:
+        verdict = "unlisted"
+    elif not steps:
+        verdict = "adequate"
+    else:
+        verdict = "missing"
+    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced)

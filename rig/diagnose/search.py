@@ -1,0 +1,325 @@
+"""Which effect of the shelf takes away most of what a model leaves over: score test first, full refits of the best.
+
+The score of a candidate is the decrease of χ² that its columns promise once the model's own parameters have been
+readjusted (one linear projection; Rao 1948). A candidate whose columns lie within the span of the model's cannot be
+seen in this data at all. The best candidates are then refitted with all parameters free.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.fit import fit as fitting
+from rig.fit.fit import Fit, fitted
+from rig.model import Effect, Quantity, Term
+from rig.motion import Array
+
+HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
+ROUNDING = 1e-6  # of a column's norm: less is no more than rounding
+TOLD = 1.0  # standard deviations that a step of the coordinate makes outside the span
+NARROW = 0.2  # of a column's norm outside the span: below it a refit needs all columns afresh
+ROUNDS = 8
+SETTLED = 0.02  # of χ²
+
+
+Memory = dict[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""Columns by effect and start, in half the space: a score needs no more digits."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """A candidate before it is refitted: linear estimate and the decrease of χ² it promises."""
+
+    start: Term
+    term: Term
+    gain: float
+    visible: float  # largest share of a column outside the span of the model
+    steps: int  # starts that were tried
+    size: int = 1  # coordinates that the data see
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate after the refit. `gain` is the decrease of χ² and priors; `u` of the coordinates."""
+
+    term: Term
+    gain: float
+    fit: Fit
+    u: Mapping[str, float]
+    steps: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        return self.term.effect.name
+
+
+def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
+    """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
+    places = {part.place for part in found.parts}
+    rates = {bool(r) for part in found.parts for r in part.channels.rates}
+    there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
+    result = []
+    for effect in shelf.values():
+        if effect.instrument and not any(effect.instrument in part.instruments for part in found.parts):
+            continue
+        if effect.looks_in != looks_in or effect.absorbed or not places.intersection(effect.places):
+            continue
+        quantities: Iterable[Quantity | None] = effect.quantities or (None,)
+        for on in quantities:
+            if (on is None or (on == "rate") in rates) and (effect.name, on) not in there:
+                zero = dict.fromkeys((c.name for c in effect.coordinates), 0.0)
+                result.append(Term(effect, on, zero))
+    return result
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What every score needs of the present model, worked out once; of rows only those that count."""
+
+    found: Fit
+    inverse: Array
+    raws: tuple[NDArray[np.inexact], ...]
+    counting: NDArray[np.intp]
+    left: Array
+    blocks: tuple[fitting.Block, ...]
+    memory: Memory
+
+    @classmethod
+    def of(cls, found: Fit, memory: Memory | None = None) -> _Sight:
+        raws = tuple(fitting.predicted(found.parts, found.state))
+        counted = np.concatenate([part.counted for part in found.parts])
+        counted = counted if found.use is None else counted & found.use
+        blocks = tuple(_counting(block, counted) for block in found.blocks)
+        inverse, counting = fitting.inverse(found.normal), np.flatnonzero(counted)
+        return cls(found, inverse, raws, counting, found.left[counting], blocks, {} if memory is None else memory)
+
+    def cross(self, columns: Array) -> Array:
+        """Products with the model's columns, (parameters, k) or (parameters,)."""
+        found = np.zeros((len(self.inverse), *columns.shape[1:]))
+        for block in self.blocks:
+            here = columns[block.rows]
+            if here.any():
+                found[block.columns] += block.matrix.T @ here
+        return found
+
+    def columns(self, term: Term) -> tuple[Array, Array]:
+        """Columns of a candidate at its coordinates, (rows, k), and what it changes there already, (rows,).
+
+        Those of an earlier step will do: a model that has one effect more has hardly other derivatives.
+        """
+        key = (term.effect, term.on, *term.at.values())
+        if key in self.memory:
+            kept, before = self.memory[key]
+            return kept.astype(np.float64), before.astype(np.float64)
+        columns, shift = self._columns(term)
+        self.memory[key] = columns.astype(np.float32), shift.astype(np.float32)
+        return columns, shift
+
+    def _columns(self, term: Term) -> tuple[Array, Array]:
+        columns, moved = [], []
+        for number, (part, raw) in enumerate(zip(self.found.parts, self.raws, strict=True)):
+            local, terms = self.found.state.local(part, number), self.found.state.terms
+            here = raw
+            if any(term.at.values()) and part.place in term.effect.places:
+                here = raw.copy()
+                only = fitting.apart(part, term)
+                here[slice(None) if only is None else only] = part.raw(local, [*terms, term], only)
+            columns.append(fitting.term_columns(part, local, terms, term, here))
+            moved.append(np.zeros(part.rows) if here is raw else part.whitened(here - raw))
+        return np.concatenate(columns)[self.counting], np.concatenate(moved)[self.counting]
+
+
+def _counting(block: fitting.Block, counted: NDArray[np.bool_]) -> fitting.Block:
+    """A block of the rows that count, which stand one after the other."""
+    before, here = int(np.count_nonzero(counted[: block.rows.start])), counted[block.rows]
+    return fitting.Block(slice(before, before + int(np.count_nonzero(here))), block.columns, block.matrix[here])
+
+
+def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> list[Score]:
+    """The best start of every candidate, most promising first; `memory` keeps columns from one step to the next."""
+    sight = _Sight.of(found, memory)
+    result = [_scored(sight, term) for term in terms]
+    return sorted(result, key=lambda one: -one.gain)
+
+
+def _scored(sight: _Sight, term: Term) -> Score:
+    starts = _starts(sight.found, term)
+    best = Score(term, term, 0.0, 0.0, max(len(starts), 1))
+    for start in starts:
+        one = _from(sight, term.moved(**start))
+        if one.gain > best.gain:
+            best = replace(
+                one, visible=max(one.visible, best.visible), steps=len(starts), size=max(one.size, best.size)
+            )
+        else:
+            best = replace(best, visible=max(one.visible, best.visible), size=max(one.size, best.size))
+    return best
+
+
+def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
+    """Starts in the part that has most of the channels concerned."""
+    fitting_parts = [p for p in found.parts if p.place in term.effect.places and len(p.channels.of(term.on))]
+    if not fitting_parts:
+        return []
+    place = "turntable" if term.on == "rate" else "shaker"
+    chosen = min(fitting_parts, key=lambda part: part.place != place)
+    return term.effect.starts(chosen.reference, term.on)
+
+
+def _from(sight: _Sight, term: Term) -> Score:
+    """Linear estimate from one start."""
+    columns, moved = sight.columns(term)
+    left, pull = sight.left - moved, sight.found.downhill - sight.cross(moved)
+    inside, own = sight.cross(columns), columns.T @ columns
+    outside = own - inside.T @ sight.inverse @ inside
+    size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    seen = np.sqrt(np.maximum(np.diag(outside), 0.0)) / size
+    # what only a prior tells from a nuisance is a small share of a strong column, and can be seen all the same
+    steps = np.array([c.step for c in term.effect.coordinates if not c.searched])
+    told = np.sqrt(np.maximum(np.diag(outside), 0.0)) * steps > TOLD
+    good = (seen > HIDDEN) | ((seen > ROUNDING) & told)
+    seen = np.where(good, np.maximum(seen, 1.01 * HIDDEN), seen)
+    target = columns.T @ left - inside.T @ sight.inverse @ pull
+    if good.any():
+        # unseen directions stay where they are
+        reduced = outside[np.ix_(good, good)]
+        step = np.zeros(len(size))
+        step[good] = fitting.inverse(reduced) @ target[good]
+        gained = float(target @ step)
+    else:
+        step, gained = np.zeros(len(size)), 0.0
+    if np.any(moved):
+        before = float(left @ left) - float(pull @ sight.inverse @ pull)
+        gained += float(sight.left @ sight.left) - before
+        seen = np.append(seen, 1.0)
+    at = dict(zip(fitted(term), step.tolist(), strict=True))
+    where = term.moved(**{name: term.at[name] + change for name, change in at.items()})
+    return Score(term, where, gained, float(seen.max(initial=0.0)), 1, max(int(np.count_nonzero(good)), 1))
+
+
+def _pull(sight: _Sight, left: Array) -> Array:
+    """Gradient of the model's parameters for these rows (priors included)."""
+    return sight.found.downhill + sight.cross((left - sight.found.left)[sight.counting])
+
+
+def refitted(found: Fit, score: Score) -> Candidate:
+    """All parameters and the candidate's adjusted together.
+
+    The model's own columns stay as they were where the candidate stands out from them; where it nearly lies within
+    their span, all move far and are worked out afresh at every step.
+    """
+    return _refitted(_Sight.of(found), score)
+
+
+def _refitted(sight: _Sight, score: Score) -> Candidate:
+    return _afresh(sight.found, score) if score.visible < NARROW else _quickly(sight, score)
+
+
+def _afresh(found: Fit, score: Score) -> Candidate:
+    state = replace(found.state, terms=(*found.state.terms, score.start))
+    made = fitting.fit(found.parts, state, use=found.use, iterations=ROUNDS)
+    return Candidate(made.state.terms[-1], found.objective - made.objective, made,
+                     made.u(len(made.state.terms) - 1), score.steps, score.size)  # fmt: skip
+
+
+def _quickly(sight: _Sight, score: Score) -> Candidate:
+    found, size = sight.found, len(sight.inverse)
+    state = replace(found.state, terms=(*found.state.terms, score.term))
+    order = fitting.layout(found.parts, state)
+    state, left = _readjusted(sight, state, order, size)
+    objective = float(left @ left) + fitting.penalty(found.parts, state)
+    normal = found.normal
+    for _ in range(ROUNDS):
+        columns = _candidate_columns(sight, state)
+        cross = sight.cross(columns)
+        normal = np.block([[found.normal, cross], [cross.T, columns.T @ columns]])
+        gradient = np.concatenate([_gradient(sight, state, left), columns.T @ left[sight.counting]])
+        step = fitting.inverse(normal) @ gradient
+        moved = _improved(found, state, order, step, objective)
+        if moved is None:
+            break
+        gained = objective - moved[2]
+        state, left, objective = moved
+        if gained < SETTLED:
+            break
+    covariance = fitting.inverse(normal)
+    u = np.sqrt(np.maximum(np.diag(covariance)[size:], 0.0))
+    made = Fit(found.parts, state, order, left, found.blocks, normal, np.zeros(len(normal)), float(left @ left),
+               objective - float(left @ left), found.use)  # fmt: skip
+    return Candidate(state.terms[-1], found.objective - objective, made,
+                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size)  # fmt: skip
+
+
+def _readjusted(sight: _Sight, state: fitting.State, order: fitting.Layout, size: int) -> tuple[fitting.State, Array]:
+    """The model's own parameters moved to where the candidate's start wants them."""
+    found = sight.found
+    left = fitting.residual(found.parts, state, found.use)
+    step = np.concatenate([sight.inverse @ _pull(sight, left), np.zeros(order.size - size)])
+    moved = fitting.stepped(state, order, step)
+    after = fitting.residual(found.parts, moved, found.use)
+    whole = [float(x @ x) + fitting.penalty(found.parts, s) for x, s in ((after, moved), (left, state))]
+    return (moved, after) if whole[0] < whole[1] else (state, left)
+
+
+def _gradient(sight: _Sight, state: fitting.State, left: Array) -> Array:
+    """Of the model's own parameters at a state, with the columns as they were."""
+    found = sight.found
+    rows = sight.cross(left[sight.counting])
+    values, weights = fitting.prior_of(found.parts, replace(state, terms=state.terms[:-1]))
+    return np.asarray(rows - weights * values)
+
+
+def _candidate_columns(sight: _Sight, state: fitting.State) -> Array:
+    *others, term = state.terms
+    parts = enumerate(sight.found.parts)
+    columns = [fitting.term_columns(part, state.local(part, n), others, term) for n, part in parts]
+    return np.concatenate(columns)[sight.counting]
+
+
+def _improved(
+    found: Fit, state: fitting.State, order: fitting.Layout, step: Array, objective: float
+) -> tuple[fitting.State, Array, float] | None:
+    for _ in range(fitting.HALVINGS):
+        moved = fitting.stepped(state, order, step)
+        left = fitting.residual(found.parts, moved, found.use)
+        finite = bool(np.isfinite(left).all())
+        after = fitting.squares(left) + fitting.penalty(found.parts, moved) if finite else math.inf
+        if after < objective:
+            return moved, left, after
+        step = 0.5 * step
+    return None
+
+
+def admissible(term: Term, u: Mapping[str, float]) -> bool:
+    """Whether the parameters are within what physics allows, or no more than two standard uncertainties outside."""
+    names = [name for name in term.at if u.get(name, 0.0) > 0.0]
+    for signs in itertools.product((0.0, 1.0, -1.0), repeat=len(names)):
+        moved = {name: term.at[name] + 2.0 * sign * u[name] for name, sign in zip(names, signs, strict=True)}
+        physical = term.effect.physical({**term.at, **moved})
+        if all(_within(physical[p.name], p.bounds) for p in term.effect.parameters):
+            return True
+    return False
+
+
+def _within(value: float, bounds: tuple[float, float]) -> bool:
+    return math.isfinite(value) and bounds[0] <= value <= bounds[1]
+
+
+def best(found: Fit, candidates: Sequence[Score], most: int, least: float) -> list[Candidate]:
+    """Refits of the most promising candidates, best first; those that promise less than `least` of χ² are left out.
+
+    Some may have sizes that are not `admissible`.
+    """
+    chosen = [score for score in candidates if score.gain > least][:most]
+    if not chosen:
+        return []
+    sight = _Sight.of(found)
+    refits = [_refitted(sight, score) for score in chosen]
+    return sorted(refits, key=lambda one: -one.gain)

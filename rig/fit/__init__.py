@@ -1,0 +1,1 @@
+"""A model fitted to parts, and whether it leaves nothing but noise."""

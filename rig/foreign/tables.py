@@ -1,0 +1,96 @@
+"""Imported data as the analysis reads them: a manifest, and one table of numbers for every file.
+
+A table holds what the files held, to the bit; `si` is where counts and units become SI, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import units
+from rig.archive.records import Recorded
+from rig.errors import BadInput
+from rig.foreign.manifest import UNIT_KINDS, Column, Manifest, from_json
+
+Array = NDArray[np.float64]
+PROCEDURE = "import"
+
+
+@dataclass(frozen=True)
+class Table:
+    """One file's rows: `values` (n, columns) as they stood there, by the file's `names`."""
+
+    label: str
+    names: tuple[str, ...]
+    values: Array
+    settings: Mapping[str, str | float]
+    held_out: bool
+
+    def of(self, column: str) -> Array:
+        """One column as it stood in the file, (n,); KeyError if it was not kept."""
+        return self.values[:, self.names.index(column)]
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A run of imported data."""
+
+    run: str
+    manifest: Manifest
+    tables: tuple[Table, ...]
+    found: tuple[str, ...]  # what was found wrong with the files on import, in words
+
+    def si(self, table: Table, column: Column) -> Array:
+        """One column in SI, (n,): (number − zero) ÷ numbers per SI unit; NaN where the file has none."""
+        return np.asarray((table.of(column.column) - column.zero) / column.scale, np.float64)
+
+    def time(self, table: Table) -> Array:
+        """Time stamps as they stand, or made from rate or interval; s, (n,). BadInput without a time base."""
+        base = self.manifest.time
+        if base is None:
+            raise BadInput(f"{self.run}: found no time base, wanted one in the manifest")
+        if base.column is not None:
+            unit = units.KINDS["time"].units[base.unit]
+            return np.asarray(table.of(base.column) * unit.multiply / unit.divide, np.float64)
+        interval = base.interval if base.interval is not None else 1.0 / (base.rate or math.nan)
+        return np.asarray(np.arange(len(table.values)) * interval, np.float64)
+
+    def u(self, table: Table, column: Column) -> Array | None:
+        """Standard uncertainty of every number, SI, (n,); None if the manifest states none."""
+        if column.uncertainty_column is not None:
+            kind = UNIT_KINDS[column.quantity]
+            scale = column.scale if kind else 1.0
+            return np.asarray(np.abs(table.of(column.uncertainty_column) / scale) / column.coverage, np.float64)
+        if column.uncertainty is None:
+            return None
+        value = units.parse(column.uncertainty, UNIT_KINDS[column.quantity] or "ratio")
+        return np.full(len(table.values), value / column.coverage)
+
+
+def is_foreign(records: Recorded) -> bool:
+    """Whether a run was imported."""
+    return records.header.get("procedure") == PROCEDURE
+
+
+def foreign_of(records: Recorded) -> Foreign:
+    """The imported data of a run. Raises BadInput for a run that was not imported."""
+    if not is_foreign(records):
+        raise BadInput(f"{records.name}: found no imported data, wanted a run that `rig import` made")
+    tables = tuple(_table(records, body) for _, body in sorted(records.points.items()))
+    found = tuple(str(one["text"]) for one in _findings(records))
+    return Foreign(records.name, from_json(records.header["imported"]), tables, found)
+
+
+def _findings(records: Recorded) -> Iterator[Mapping[str, Any]]:
+    return (entry.body for entry in records.lines if entry.kind == "finding")
+
+
+def _table(records: Recorded, body: Mapping[str, Any]) -> Table:
+    values, names = records.table(str(body["table"]))
+    return Table(str(body["label"]), names, values, dict(body["settings"]), bool(body["held_out"]))

@@ -1,0 +1,1 @@
+"""What a model is compared with: rows with a prediction, their noise, and those held out."""

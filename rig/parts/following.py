@@ -1,0 +1,361 @@
+"""A record of motion that somebody else's reference followed: a rotation with its encoder, or free motion with poses.
+
+Sensor and reference are compared on one even grid, in a band in which both are trustworthy. Every stretch of some
+seconds is turned by a cosine transform, whose lines are nearly independent with the density as variance (Whittle).
+What the noise is such a record seldom tells by a rest: it is taken from the part of each channel that no linear filter
+of the reference's motion explains (its incoherent part), whatever model is fitted.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model import Channels, Effect, Local, Term, volts
+from rig.motion import Array, Complexes, Motion, Stretches
+from rig.parts.part import Cut, Mask, Tabled
+from rig.parts.sines import REMEMBERED, reference_key
+from rig.parts.turning import Shown, true_motion
+
+DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
+PER_DECADE = 8.0
+FREE = 10.0  # lines' worth of freedom that a density is worked out from at least
+LOUDEST = 16.0  # times the mean power that noise may have just when an effect shows
+RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
+ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
+ROOM = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
+ALLOWANCE = 0.2
+
+
+@dataclass(frozen=True)
+class FollowRecords:
+    """n even instants of c channels and the reference's motion at them; records one after the other.
+
+    `observed` (c, n) V or SI as the manifest has it. `shown`: angle, rate and acceleration about `axis` (rotation), or
+    none. `rate`, `turning`, `force`, `up` in the case frame (3, n): as the reference shows them. `upright` and `phase`
+    say how gravity lies for a rotation. `records` and `stretches` bounds among the instants; `held` (stretches,).
+    `bands` Hz for rates and for forces. `time` s within each record's file.
+    """
+
+    name: str
+    run: str
+    place: Literal["rotation", "free"]
+    channels: Channels
+    observed: Array
+    interval: float
+    time: Array
+    shown: Shown | None
+    axis: int
+    upright: float  # ±1 with the axis up or down; 0 if it lies level
+    phase: float
+    rate: Array
+    turning: Array
+    force: Array
+    up: Array
+    gravity: float
+    records: tuple[tuple[int, int], ...]
+    stretches: tuple[tuple[int, int], ...]
+    held: Mask
+    bands: tuple[float, float]
+    notes: tuple[str, ...] = ()
+    blind: tuple[str, ...] = ()
+
+
+def spun_force(data: FollowRecords, angle: Array) -> Array:
+    """Specific force of gravity in the case at these angles, m/s², (3, n): u(θ) = R(axis, −θ)·u(0)."""
+    found = np.zeros((3, len(angle)))
+    if data.upright:
+        found[data.axis] = data.upright * data.gravity
+        return found
+    found[(data.axis + 1) % 3] = data.gravity * np.cos(angle - data.phase)
+    found[(data.axis + 2) % 3] = -data.gravity * np.sin(angle - data.phase)
+    return found
+
+
+class Following(Tabled):
+    """Such records as a part of a fit."""
+
+    def __init__(self, data: FollowRecords) -> None:
+        self.data, self.name, self.run, self.place, self.channels = data, data.name, data.run, data.place, data.channels
+        self.notes, self.blind = data.notes, data.blind
+        self.row_names, self.row_rates = data.channels.names, data.channels.rates
+        self.grid = Stretches(data.interval, data.records)
+        self.width = sum(len(f) for f in self._frequencies)
+        self.extra = np.zeros((self.rows, 0))
+        self._moved: dict[tuple[object, ...], Motion] = {}
+        self.target = self.whitened(data.observed)
+
+    @cached_property
+    def _frequencies(self) -> list[Array]:
+        """Frequencies of the lines of every stretch that are within either band, Hz."""
+        found = []
+        for begin, end in self.data.stretches:
+            step = 1.0 / (2.0 * (end - begin) * self.data.interval)
+            count = min(end - begin, math.floor(max(self.data.bands) / step) + 1)
+            found.append(np.asarray(np.arange(count) * step, np.float64))
+        return found
+
+    @cached_property
+    def frequency_of(self) -> Array:
+        """Frequency of a row of one channel, Hz, (width,)."""
+        return np.concatenate(self._frequencies)
+
+    @cached_property
+    def stretch_of(self) -> NDArray[np.intp]:
+        """Which stretch a row of one channel belongs to, (width,)."""
+        return np.repeat(np.arange(len(self._frequencies)), [len(f) for f in self._frequencies])
+
+    @cached_property
+    def reference(self) -> Motion:
+        return self.moved(())
+
+    def moved(self, terms: Sequence[Term]) -> Motion:
+        """The true motion, once what is wrong with the reference is taken off what it shows."""
+        key = reference_key(terms)
+        if key not in self._moved:
+            if len(self._moved) > REMEMBERED:
+                self._moved.clear()
+            motion = self._read([t for t in terms if type(t.effect).turned is not Effect.turned])
+            for term in (t for t in terms if t.effect.stage == "reference"):
+                motion = term.effect.motion(motion, term.at)
+            self._moved[key] = motion
+        return self._moved[key]
+
+    def _read(self, terms: Sequence[Term]) -> Motion:
+        data = self.data
+        rate, turning, force, up, angle = data.rate, data.turning, data.force, data.up, np.zeros(len(data.time))
+        if data.shown is not None:
+            angle, about, faster = true_motion(data.shown, terms)
+            rate, turning = np.zeros_like(rate), np.zeros_like(rate)
+            rate[data.axis], turning[data.axis] = about, faster
+            force = spun_force(data, angle)
+            up = force / data.gravity
+        count = len(data.time)
+        nowhere = np.zeros((3, count))
+        return Motion(
+            grid=self.grid, place=self.place, force=force, rate=rate, turning=turning, up=up, gravity=data.gravity,
+            temperature=np.full(count, ROOM["temperature"]), supply=np.full(count, ROOM["supply"]),
+            elapsed=data.time - float(data.time[0]), angle=angle, motor=np.zeros(count), outward=nowhere,
+            tangent=nowhere,
+        )  # fmt: skip
+
+    def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
+        """Predicted outputs of every channel (or of some), (c, n)."""
+        terms = [term for term in terms if self.place in term.effect.places]
+        channels = self.channels
+        if only is not None:
+            channels, local = channels.only(only), local.only(only)
+        own = [term for term in terms if term.effect.stage != "reference"]  # those are in the motion already
+        return np.asarray(volts(self.moved(terms), channels, local, own), np.float64)
+
+    def lines(self, values: Array) -> Array:
+        """Cosine lines of signals (k, n) within the bands, stretch after stretch, (k, width)."""
+        from scipy.fft import dct
+
+        found = []
+        for (begin, end), f in zip(self.data.stretches, self._frequencies, strict=True):
+            found.append(dct(values[:, begin:end], type=2, norm="ortho", axis=1)[:, : len(f)])
+        return np.concatenate(found, axis=1)
+
+    @cached_property
+    def _inside(self) -> Mask:
+        """Rows within each channel's band, (c, width)."""
+        band = np.where(self.channels.rates, *self.data.bands)
+        return np.asarray(self.frequency_of <= band[:, None])
+
+    @cached_property
+    def variance(self) -> Array:
+        """Of every channel's lines, V², (c, width): smooth density of the incoherent part."""
+        return np.array([found for found, _ in self._noises])
+
+    @cached_property
+    def _noises(self) -> list[tuple[Array, Array]]:
+        lines = self.lines(self.data.observed)
+        return [self._incoherent(lines[c], bool(rate)) for c, rate in enumerate(self.channels.rates)]
+
+    def _incoherent(self, target: Array, of_rate: bool) -> tuple[Array, Array]:
+        """Variance of the lines of one channel that no linear filter of the reference explains, and the freedom that
+        the filter left to each line; both (width,).
+        """
+        f = self.frequency_of
+        here = (f <= self.data.bands[0 if of_rate else 1]) & (f > 0.0)
+        columns = self._filters(of_rate)[:, here].T
+        density = np.ones(int(here.sum()))
+        for _ in range(ROUNDS):
+            weight = 1.0 / np.sqrt(density)
+            basis = _orthonormal(columns * weight[:, None])
+            aim = target[here] * weight
+            left = (aim - basis @ (basis.T @ aim)) / weight
+            freedom = np.zeros(len(f))
+            freedom[here] = 1.0 - np.sum(basis**2, axis=1)
+            density = _smooth(f[here], left**2, freedom[here])
+        found = np.interp(f, *_sorted(f[here], density))
+        return np.asarray(np.where(f > 0.0, found, found.max())), freedom
+
+    @cached_property
+    def _rates_filters(self) -> Array:
+        return self._derivatives(_varying(self.reference.rate))
+
+    @cached_property
+    def _force_filters(self) -> Array:
+        motion = self.reference
+        spins = [motion.rate[i] * motion.rate[j] for i in range(3) for j in range(i, 3)]
+        return self._derivatives(_varying(np.stack([*motion.force, *motion.turning, *spins])))
+
+    def _filters(self, of_rate: bool) -> Array:
+        return self._rates_filters if of_rate else self._force_filters
+
+    def _derivatives(self, signals: Array) -> Array:
+        """Lines of signals and of their derivatives, each scaled to one, (k, width)."""
+        scale = 2.0 * math.pi * max(self.data.bands)
+        found = []
+        for order in range(DERIVATIVES):
+            moved = self.grid.observed(signals, partial(_power, order=order, scale=scale))
+            lines = self.lines(np.asarray(moved, np.float64))
+            found.append(lines / np.linalg.norm(lines, axis=1, keepdims=True))
+        return np.concatenate(found)
+
+    def whitened(self, raw: NDArray[np.inexact]) -> Array:
+        lines = self.lines(np.asarray(raw, np.float64))
+        return np.asarray((lines * self._inside / np.sqrt(self.variance)).reshape(-1))
+
+    @property
+    def held_out(self) -> Mask:
+        return np.tile(self.data.held[self.stretch_of], len(self.row_names))
+
+    @property
+    def counted(self) -> Mask:
+        return self._inside.reshape(-1)
+
+    def domains(self) -> Mapping[str, Mask]:
+        f, top = self.frequency_of, max(self.data.bands)
+        bounds = [0.0, 0.1 * top, 0.4 * top, top]
+        found = {"mean": f == 0.0}
+        for low, high in itertools.pairwise(bounds):
+            found[f"{low:.2g}–{high:.2g} Hz"] = (f > low) & (f <= high)
+        return found
+
+    def cuts(self) -> Sequence[Cut]:
+        data = self.data
+        begin = np.array([data.time[b] for b, _ in data.stretches])
+        speed = np.array([math.sqrt(float(np.mean(np.sum(data.rate[:, b:e] ** 2, 0)))) for b, e in data.stretches])
+        found = []
+        for kind, values, words in (
+            ("time", begin, ("early", "half-way", "late")),
+            ("rate", speed, ("while slow", "at middling rates", "while fast")),
+        ):
+            for said, some in zip(words, np.array_split(np.argsort(values), 3), strict=True):
+                mask = np.zeros(len(values), np.bool_)
+                mask[some] = True
+                found.append(Cut(kind, said, mask[self.stretch_of]))
+        return found
+
+    @property
+    def allowance(self) -> float:
+        """The density of a few lines is not known better."""
+        return ALLOWANCE
+
+    def allowance_of(self, name: str, mask: Mask) -> float:
+        """Where the filter left little freedom the density is known worse."""
+        freedom = float(self._noises[self.row_names.index(name)][1][mask].sum())
+        return math.hypot(ALLOWANCE, math.sqrt(2.0 / max(freedom, 1.0)))
+
+    def unevenness(self, change: Array, left: Array) -> float:
+        """Of noise that is louder while the motion is: Σd²l² over instants against Σd² times the mean of l² (the
+        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time. An effect that shows
+        at a few instants only is as doubtful, so l is what was left before it; but there is a limit to doubt.
+        """
+        moved, rest = self._in_time(change), self._in_time(left)
+        mean = np.mean(rest**2, axis=1, keepdims=True)
+        even = float(np.sum(moved**2 * mean))
+        return min(max(1.0, float(np.sum(moved**2 * rest**2)) / even), LOUDEST) if even > 0.0 else 1.0
+
+    def _in_time(self, rows: Array) -> Array:
+        """Rows as signals, (c, n), each stretch from its own lines."""
+        from scipy.fft import idct
+
+        table, found, at = rows.reshape(len(self.row_names), -1), [], 0
+        for (begin, end), f in zip(self.data.stretches, self._frequencies, strict=True):
+            found.append(idct(table[:, at : at + len(f)], type=2, n=end - begin, norm="ortho", axis=1))
+            at += len(f)
+        return np.concatenate(found, axis=1)
+
+    def noise(self) -> Array:
+        return np.asarray(self.variance / self.channels.sensitivity[:, None] ** 2)
+
+    def numbers(self) -> Array:
+        return np.full(len(self.row_names), float(sum(end - begin for begin, end in self.data.stretches)))
+
+    def shapes(self, component: str) -> Mapping[str, Array]:
+        """The motion along each axis, its rate of change, that of the other axes, and squares, each scaled to one."""
+        motion, c = self.reference, self.channels
+        own = np.where(c.rates[:, None], motion.rate[c.axis], motion.force[c.axis])
+        laws = {
+            "in proportion to the motion": own,
+            "in proportion to its rate of change, as of something late": self.grid.rise(own),
+            "in proportion to the turning of the case": self.grid.plain(motion.turning[(c.axis + 1) % 3]),
+            "as the square of the rate": np.repeat(np.sum(motion.rate**2, axis=0)[None], len(c.names), axis=0),
+        }  # fmt: skip
+        for step in (1, 2):
+            other = (c.axis + step) % 3
+            laws[f"in proportion to the {'next' if step == 1 else 'previous'} axis"] = np.where(
+                c.rates[:, None], motion.rate[other], motion.force[other]
+            )
+        found = {words: self.lines(np.asarray(values, np.float64)) for words, values in laws.items()}
+        return {words: lines for words, lines in found.items() if np.any(lines[:, self.frequency_of > 0.0])}
+
+
+def _power(frequency: Array, *, order: int, scale: float) -> Complexes:
+    return np.asarray((2j * math.pi * frequency / scale) ** order)
+
+
+def _varying(signals: Array) -> Array:
+    """Signals that are not constant."""
+    return np.asarray(signals[np.ptp(signals, axis=1) > 1e-9 * (1.0 + np.abs(signals).max())])
+
+
+def _sorted(f: Array, values: Array) -> tuple[Array, Array]:
+    order = np.argsort(f, kind="stable")
+    return f[order], values[order]
+
+
+def _orthonormal(columns: Array) -> Array:
+    """An orthonormal basis of what these columns (n, k) span, (n, rank)."""
+    vectors, sizes, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return np.asarray(vectors[:, sizes > RESOLVED * sizes[0]])
+
+
+def _smooth(f: Array, power: Array, freedom: Array) -> Array:
+    """Density at every line (n,), from the power that a filter left and the freedom that it left to each line.
+
+    Lines are taken together in bins of log frequency, and so many of them that some freedom is left: a line that the
+    filter follows by itself leaves nothing over, and that is no lack of noise.
+    """
+    at, power = _sorted(f, power)
+    _, freedom = _sorted(f, freedom)
+    places, free, whole = [], [], []
+    begin = 0
+    for end in _bins(at, freedom):
+        places.append(float(np.log(at[begin:end]).mean()))
+        free.append(float(freedom[begin:end].sum()))
+        whole.append(float(power[begin:end].sum()))
+        begin = end
+    levels = np.log(np.array(whole) / np.array(free))
+    return np.asarray(np.exp(np.interp(np.log(f), places, levels)))
+
+
+def _bins(f: Array, freedom: Array) -> list[int]:
+    """Ends of bins among rising frequencies: PER_DECADE of them, wider where less freedom than FREE is left."""
+    ends, begin, total = [], 0, np.concatenate([[0.0], np.cumsum(freedom)])
+    for end in [*(np.flatnonzero(np.diff(np.floor(np.log10(f) * PER_DECADE))) + 1).tolist(), len(f)]:
+        if total[end] - total[begin] >= FREE:
+            ends.append(end)
+            begin = end
+    return [*ends[:-1], len(f)]

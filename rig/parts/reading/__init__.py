@@ -1,0 +1,1 @@
+"""From records to parts: one reader for each kind of experiment."""

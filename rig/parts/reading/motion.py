@@ -1,0 +1,329 @@
+"""From imported rotations and free motion to records that a model follows: one grid, gravity, the parts that count."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import BadInput
+from rig.foreign.manifest import Column, Rotation
+from rig.foreign.tables import Foreign, Table
+from rig.model import Array, Channels
+from rig.parts.following import FollowRecords, spun_force
+from rig.parts.reading.shared_lines import shared_lines
+from rig.parts.turning import Shown
+from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
+from rig.signals.pose_track import PoseTrack, pose_track
+
+PIECE = 10.0  # s of a stretch
+SAMPLES = 4.0  # per period of the highest frequency compared
+TAPS = 24  # of the low-pass before thinning, per instant kept
+BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
+SHORTEST = 4.0  # s of a record between gaps that is worth comparing
+LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left at half the new rate
+EDGE = 8  # instants at either end of a record that are not compared
+SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One table on the reference's grid: observed (c, n), motion, and which instants count."""
+
+    table: Table
+    time: Array
+    observed: Array
+    good: NDArray[np.bool_]
+    interval: float
+    track: AngleTrack | PoseTrack
+    step: int = 1
+    taps: Array | None = None
+
+    def of_track(self, name: str, begin: int, end: int) -> Array:
+        """Values of the track at some instants of the grid, low-passed as the device is."""
+        values: Array = getattr(self.track, name)
+        if self.taps is not None:
+            values = _low_passed(values, self.taps)
+        return values[..., :: self.step][..., begin:end]
+
+
+def rotations(foreign: Foreign) -> FollowRecords:
+    """Every file of a run of kind "rotation" together. Raises BadInput where nothing can be compared."""
+    made = foreign.manifest.rotation
+    assert made is not None
+    pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
+    data = _joined(foreign, pieces, made)
+    return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
+
+
+def motions(foreign: Foreign) -> FollowRecords:
+    """Every file of a run of kind "motion" together. Raises BadInput where nothing can be compared."""
+    return _joined(foreign, [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables], None)
+
+
+def _turned(foreign: Foreign, table: Table) -> AngleTrack:
+    made = foreign.manifest
+    columns = made.of("reference", "angle")
+    if not columns:
+        return _counted(foreign, table)
+    u = foreign.u(table, columns[0])
+    return encoder_track(  # jitter of stamps is in the incoherent part: weights for it would bend the response
+        foreign.time(table), foreign.si(table, columns[0]), u_angle=0.0 if u is None else float(u[0]),
+        keep=_keep(foreign),
+    )  # fmt: skip
+
+
+def _counted(foreign: Foreign, table: Table) -> AngleTrack:
+    """From the sampled lines of an encoder."""
+    made, signals = foreign.manifest, {}
+    for quantity in ("line_a", "line_b", "index_line"):
+        found = made.of("reference", quantity)
+        if found:
+            signals[quantity] = foreign.si(table, found[0])
+    if made.rotation is None or made.rotation.lines is None or "line_b" not in signals:
+        raise BadInput(f"{foreign.run}: found no line_b or no lines per revolution, wanted both for a sampled encoder")
+    return quadrature_track(
+        foreign.time(table), signals["line_a"], signals["line_b"], signals.get("index_line"),
+        lines=made.rotation.lines, keep=_keep(foreign),
+    )  # fmt: skip
+
+
+def _posed(foreign: Foreign, table: Table) -> PoseTrack:
+    made = foreign.manifest
+    assert made.pose is not None
+    position: dict[str | None, Array] = {one.axis: foreign.si(table, one) for one in made.of("reference", "position")}
+    quaternion: dict[str | None, Array] = {
+        one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
+    }
+    return pose_track(
+        foreign.time(table), np.stack([position[a] for a in AXES], axis=1),
+        np.stack([quaternion[c] for c in "wxyz"], axis=1), convention=made.pose.quaternion, up=made.pose.up,
+        gravity=made.gravity.value, keep=_keep(foreign),
+    )  # fmt: skip
+
+
+def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _Piece:
+    """The device's channels at the instants of the reference's grid; splines through what was sampled."""
+    from scipy.interpolate import CubicSpline
+
+    time, found = foreign.time(table), []
+    good = track.good.copy()
+    for column in _device(foreign):
+        values = foreign.si(table, column)
+        stamps = time + column.delay
+        known = np.isfinite(stamps) & np.isfinite(values)
+        later = np.flatnonzero(known)
+        later = later[np.diff(np.maximum.accumulate(stamps[later]), prepend=-math.inf) > 0.0]
+        spline = CubicSpline(stamps[later], values[later])
+        found.append(spline(track.time))
+        near = np.searchsorted(stamps[later], track.time).clip(1, len(later) - 1)
+        gap = stamps[later][near] - stamps[later][near - 1]
+        good &= gap < 5.0 * track.interval
+        good &= (track.time >= stamps[later][0]) & (track.time <= stamps[later][-1])
+    return _thinned(
+        _Piece(table, track.time, np.array(found), good, track.interval, track), max(_bands(foreign, track))
+    )
+
+
+def _thinned(piece: _Piece, band: float) -> _Piece:
+    """Every few instants, as many as the band needs: device and reference alike low-passed without delay.
+
+    The noise of a reference rises with frequency: thinned as it stands, what is above the grid would fold into it.
+    """
+    from scipy.signal import firwin
+
+    step = math.floor(1.0 / (SAMPLES * band * piece.interval))
+    if step < 2:
+        return piece
+    taps = firwin(TAPS * step + 1, LOW_PASS * band, window=("kaiser", 8.0), fs=1.0 / piece.interval)
+    smooth = _low_passed(piece.observed, taps)[:, ::step]
+    margin = np.ones(TAPS * step + 1)
+    good = (np.convolve(piece.good, margin, mode="same") > len(margin) - 0.5)[::step]
+    return replace(
+        piece,
+        time=piece.time[::step],
+        observed=smooth,
+        good=good,
+        interval=step * piece.interval,
+        step=step,
+        taps=taps,
+    )
+
+
+def _low_passed(values: Array, taps: Array) -> Array:
+    from scipy.ndimage import convolve1d
+
+    return np.asarray(convolve1d(values, taps, axis=-1, mode="nearest"))
+
+
+def _device(foreign: Foreign) -> list[Column]:
+    return [one for one in foreign.manifest.of("device") if one.quantity in ("acceleration", "rate")]
+
+
+def channels_of(columns: Sequence[Column]) -> Channels:
+    """Channels of imported columns: SI in, SI out, or counts with their sensitivity taken off on reading."""
+    for one in columns:
+        if one.axis is None:
+            raise BadInput(f"{one.channel}: found no axis, wanted x, y or z")
+    return Channels(
+        names=tuple(one.channel for one in columns),
+        rates=np.array([one.quantity == "rate" for one in columns]),
+        axis=np.array([AXES.index(one.axis or "x") for one in columns]),
+        slot=np.zeros(len(columns), np.intp),
+        side=np.full(len(columns), math.nan),
+        sensitivity=np.ones(len(columns)),
+        tolerance=np.array([one.tolerance for one in columns]),
+        pole=np.array([one.bandwidth or math.inf for one in columns]),
+        unit=("unit",) * len(columns),
+    )
+
+
+def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | None) -> FollowRecords:
+    """Pieces one after the other, cut where nothing counts."""
+    made = foreign.manifest
+    interval = float(np.median([piece.interval for piece in pieces]))
+    bands = tuple(np.min([_bands(foreign, piece.track) for piece in pieces], axis=0).tolist())
+    runs = [(piece, begin, end) for piece in pieces for begin, end in _whole(piece, interval)]
+    if not runs:
+        raise BadInput(f"{foreign.run}: found no {SHORTEST:g} s without a gap, wanted some to compare")
+    cut = [slice(begin, end) for _, begin, end in runs]
+    bounds = np.cumsum([0, *(s.stop - s.start for s in cut)]).tolist()
+    records = tuple(itertools.pairwise(bounds))
+    stretches, held = _stretches(foreign, runs, records, interval)
+    observed = np.concatenate([piece.observed[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
+    time = np.concatenate([piece.time[s] for (piece, _, _), s in zip(runs, cut, strict=True)])
+    notes = [note for piece in pieces for note in piece.track.notes]
+    data = FollowRecords(
+        name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
+        channels=channels_of(_device(foreign)), observed=observed, interval=interval, time=time, shown=None, axis=0,
+        upright=0.0, phase=0.0, rate=np.zeros((3, len(time))), turning=np.zeros((3, len(time))),
+        force=np.zeros((3, len(time))), up=np.zeros((3, len(time))), gravity=made.gravity.value, records=records,
+        stretches=stretches, held=held, bands=bands, notes=tuple(notes), blind=_BLIND,
+    )  # fmt: skip
+    if rotation is None:
+        vectors = {
+            name: np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs], axis=1)
+            for name in ("rate", "turning", "force", "up")
+        }
+        return FollowRecords(**{**vars(data), **vectors})
+    return _with_encoder(data, runs, rotation)
+
+
+_BLIND = (
+    "a delay that all channels share and an offset of the reference's time stamps are one and the same here: which of "
+    "the two it is, only one clock for both or an event that both see would tell",
+)
+
+
+def _with_encoder(data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation) -> FollowRecords:
+    """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
+    arrays = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
+              for name in ("angle", "rate", "acceleration")]  # fmt: skip
+    axis = AXES.index(rotation.axis)
+    found, said = _sense(data, axis, arrays[1])
+    sense = float(rotation.sense or found or 1)
+    notes = list(data.notes)
+    if said and rotation.sense is None:
+        notes.append(said)
+    shown = Shown(*(sense * one for one in arrays))
+    rate, turning = np.zeros_like(data.rate), np.zeros_like(data.rate)
+    rate[axis], turning[axis] = shown.rate, shown.acceleration
+    upright, phase = _gravity(data, axis, shown.angle, rotation.upright)
+    made = FollowRecords(**{**vars(data), "shown": shown, "axis": axis, "upright": upright, "phase": phase,
+                            "rate": rate, "turning": turning, "notes": tuple(notes)})  # fmt: skip
+    force = spun_force(made, shown.angle)
+    return FollowRecords(**{**vars(made), "force": force, "up": force / made.gravity})
+
+
+def _shaken(foreign: Foreign, axis: str, band: float) -> list[str]:
+    """Lines above the compared band that the gyro about the axis and the encoder's angle share, file by file."""
+    angles = foreign.manifest.of("reference", "angle")
+    gyros = [one for one in _device(foreign) if one.quantity == "rate" and one.axis == axis]
+    said = []
+    for table in foreign.tables if angles and gyros else ():
+        time, angle, gyro = foreign.time(table), foreign.si(table, angles[0]), foreign.si(table, gyros[0])
+        known = np.flatnonzero(np.isfinite(time) & np.isfinite(angle) & np.isfinite(gyro))
+        known = known[np.diff(np.maximum.accumulate(time[known]), prepend=-math.inf) > 0.0]
+        step = float(np.median(np.diff(time[known])))
+        even = np.arange(time[known[0]], time[known[-1]], step)
+        angle[known] = np.unwrap(angle[known])
+        turned, felt = (np.interp(even, time[known], one[known]) for one in (angle, gyro))
+        if found := shared_lines(turned, felt, step, band):
+            lines = "; ".join(one.in_words for one in found)
+            said.append(f"{table.label}: real motion above the band, in gyro and encoder alike: lines at {lines}")
+    return said
+
+
+def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
+    """Sign of the gyro along the axis against the reference, and a sentence if they are against each other."""
+    for row, name in enumerate(data.channels.names):
+        if data.channels.rates[row] and data.channels.axis[row] == axis:
+            r = float(np.corrcoef(data.observed[row], rate)[0, 1])
+            if r < -SURE:
+                return -1, (
+                    f"sign: {name} counts against the encoder's angle (correlation {r:.3f}); which of them is right "
+                    "nobody states, so the encoder is taken to count against a right-hand turn about "
+                    f"{AXES[axis]}"
+                )
+            if r > SURE:
+                return 1, ""
+    return 0, ""
+
+
+def _gravity(data: FollowRecords, axis: int, angle: Array, upright: bool) -> tuple[float, float]:
+    """Which way up an upright axis stands, or the angle at which gravity's side lies, from the accelerometers."""
+    means = {}
+    for row in np.flatnonzero(~data.channels.rates):
+        means[int(data.channels.axis[row])] = data.observed[row]
+    if upright:
+        return (-1.0 if axis in means and float(means[axis].mean()) < 0.0 else 1.0), 0.0
+    first, second = (means.get((axis + k) % 3, np.zeros(len(angle))) for k in (1, 2))
+    return 0.0, float(np.angle(np.sum((first + 1j * second) * np.exp(1j * angle))))
+
+
+def _bands(foreign: Foreign, track: AngleTrack | PoseTrack) -> tuple[float, float]:
+    """Of rates and of forces, Hz: as stated, else to where the track keeps the motion."""
+    stated, own = foreign.manifest.compared, track.kept
+    kept = own if isinstance(own, tuple) else (own, own)
+    return stated.rate_band or kept[0], stated.force_band or kept[1]
+
+
+def _keep(foreign: Foreign) -> float | None:
+    """To where the reference must keep the motion, Hz: well above a stated band, within which it must not bend."""
+    stated = [b for b in (foreign.manifest.compared.rate_band, foreign.manifest.compared.force_band) if b is not None]
+    return BEYOND * max(stated) if stated else None
+
+
+def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:
+    """Bounds of runs of instants that count."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], piece.good, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+        if (end - begin) * interval >= SHORTEST:
+            yield begin, end
+
+
+def _stretches(
+    foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float
+) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:
+    """Pieces of about equal length, and whether each is held out: of a file so marked, else the end of every file.
+
+    The ends of a record are left out: what a model does to a motion is not known there, because what was before is not.
+    """
+    by_file = any(table.held_out for table in foreign.tables)
+    share = foreign.manifest.compared.held_out
+    found, held = [], []
+    for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
+        begin, end, first = begin + EDGE, end - EDGE, first + EDGE
+        count = max(1, round((end - begin) * interval / PIECE))
+        length = (end - begin) // count
+        limit = piece.time[0] + (1.0 - share) * (piece.time[-1] - piece.time[0])
+        for k in range(count):
+            found.append((first + k * length, first + (k + 1) * length))
+            late = piece.time[begin + k * length] >= limit - 0.5 * length * interval
+            held.append(piece.table.held_out if by_file else bool(late))
+    return tuple(found), np.array(held)

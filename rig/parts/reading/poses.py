@@ -1,0 +1,336 @@
+"""From imported data of kind "poses" to the means that a model is compared with.
+
+Poses and turns are those that the manifest names as segments; where it names none, the intervals at rest are found in
+the record itself. How noisy a mean is comes from the record's own parts at rest: their spectrum, white noise and
+flicker fitted to it, and the covariance that gives means of such length at such times, about the mean of all of them
+(the zero output takes that up). Nothing is taken to be white.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import BadInput
+from rig.foreign.manifest import Column, Segment
+from rig.foreign.tables import Foreign, Table
+from rig.model import Channels
+from rig.motion import Array
+from rig.parts.poses import PARAMETERS, PosedRecords
+from rig.signals.noise import NoiseModel, fit_density
+from rig.signals.spectrum import Density
+
+CONDITIONS = {"temperature": 25.0, "supply": 5.0}  # where nobody logged them: constant, so no effect of theirs shows
+LEAST = 32  # samples of a part at rest that says something about noise
+BINS = 10.0  # per decade of frequency
+EDGE = 0.1  # of a part, left out at either end where its noise is looked at
+EFFICIENCY = 2.0 / math.pi  # of a median beside a mean
+ROOM_FOR_FIT = 4  # poses beside the parameters, so that a fit to the rest means something
+HELD_OUT = 3  # every third pose, where the last ones cannot be spared
+REPEATED = 0.002  # rad: poses closer than this are one pose, taken twice
+FEWEST = 3  # pairs of them from which their scatter is known
+
+Pair = tuple[int, int]
+Finder = Callable[[Array, float, Array | None], Sequence[Pair]]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Rows [first, last) of a table: at rest, or one turn by a known `angle` (vector, rad) with its uncertainty."""
+
+    first: int
+    last: int
+    angle: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    u_angle: float = 0.0
+    held: bool = False
+    rest: bool = False  # of a pose whose beginning is another interval
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a turn."""
+        return any(self.angle)
+
+
+def posed(foreign: Foreign, find: Finder | None = None) -> list[PosedRecords]:
+    """Every file of a run of kind "poses"; `find` finds the intervals at rest where the manifest names none.
+
+    Raises BadInput for a file without poses, or for segments of several files.
+    """
+    if foreign.manifest.segments and len(foreign.tables) > 1:
+        raise BadInput(f"{foreign.run}: found segments and {len(foreign.tables)} files, wanted one file")
+    by_file = any(table.held_out for table in foreign.tables)
+    return [_record(foreign, number, table, find or _at_rest, by_file) for number, table in enumerate(foreign.tables)]
+
+
+def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: bool) -> PosedRecords:
+    columns = [one for one in foreign.manifest.of("device") if one.quantity in ("acceleration", "rate")]
+    where = f"{foreign.run} {table.label}".strip()
+    if not columns:
+        raise BadInput(f"{where}: found no accelerometer and no gyro, wanted one")
+    numbers = np.array([table.of(one.column) - one.zero for one in columns])
+    time = foreign.time(table)
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    channels = _channels(columns, foreign.manifest.unit.serial)
+    intervals, notes = _intervals(foreign, table, numbers / channels.sensitivity[:, None], channels, rate, find)
+    if by_file:
+        intervals = [_marked(one, table.held_out) for one in intervals]
+    else:
+        intervals, said = _held(intervals, foreign.manifest.compared.held_out)
+        notes = [*notes, said]
+    return _means(foreign, table, number, channels, numbers, time, rate, sorted(intervals, key=_begin), notes)
+
+
+def _begin(one: Interval) -> int:
+    return one.first
+
+
+def _channels(columns: Sequence[Column], serial: str) -> Channels:
+    count = len(columns)
+    return Channels(
+        names=tuple(one.channel for one in columns),
+        rates=np.array([one.quantity == "rate" for one in columns]),
+        axis=np.array(["xyz".index(one.axis or "x") for one in columns], np.intp),
+        slot=np.arange(count, dtype=np.intp), side=np.full(count, math.nan),
+        sensitivity=np.array([one.scale for one in columns]),
+        tolerance=np.array([one.tolerance for one in columns]),
+        pole=np.array([one.bandwidth or math.inf for one in columns]), unit=(serial,) * count,
+    )  # fmt: skip
+
+
+def _intervals(
+    foreign: Foreign, table: Table, shown: Array, channels: Channels, rate: float, find: Finder
+) -> tuple[list[Interval], list[str]]:
+    """Poses and turns, and what is to be said of how they were found; `shown` (c, n) SI by the data sheet."""
+    named = [_named(one, len(table.values), foreign.run) for one in foreign.manifest.segments]
+    if any(not one.turns for one in named):
+        return named, [*_faults(named, shown, channels, rate)]
+    acceleration, gyro = (shown[channels.of(quantity)] for quantity in ("acceleration", "rate"))
+    if len(acceleration) != 3:
+        raise BadInput(f"{foreign.run}: found no segments and no triad, wanted poses named in the manifest")
+    found = find(acceleration.T, rate, gyro.T if len(gyro) else None)
+    if not len(found):
+        raise BadInput(f"{foreign.run} {table.label}: found no interval at rest, wanted poses")
+    said = f"{len(found)} poses at rest found in the record"
+    return [*(Interval(*one) for one in found), *named], [said, *_faults(named, shown, channels, rate)]
+
+
+def _at_rest(acceleration: Array, rate: float, gyro: Array | None) -> list[Pair]:
+    from rig.signals.still_poses import still_poses
+
+    return [(one.first, one.last) for one in still_poses(acceleration, rate, gyro=gyro)]
+
+
+def _named(one: Segment, rows: int, run: str) -> Interval:
+    if one.last > rows:
+        raise BadInput(f"{run}: found a segment up to row {one.last}, wanted at most {rows}")
+    angle = [one.angle or 0.0 if axis == one.turn else 0.0 for axis in "xyz"]
+    return Interval(one.first, one.last, (angle[0], angle[1], angle[2]), one.angle_uncertainty)
+
+
+def _faults(named: Sequence[Interval], shown: Array, channels: Channels, rate: float) -> list[str]:
+    """Turns that a gyro shows the other way round."""
+    said = []
+    for one in named:
+        for c in channels.of("rate"):
+            stated = one.angle[int(channels.axis[c])]
+            seen = float(np.nansum(shown[c, one.first : one.last])) / rate
+            if stated * seen < 0.0 and abs(seen) > 0.5 * abs(stated):
+                said.append(
+                    f"{channels.names[c]} shows {math.degrees(seen):.0f}° in a turn stated as "
+                    f"{math.degrees(stated):.0f}°: the sign of its axis or of the angle is wrong"
+                )
+    return said
+
+
+def _marked(one: Interval, held: bool) -> Interval:
+    return replace(one, held=held)
+
+
+def _held(intervals: Sequence[Interval], share: float) -> tuple[list[Interval], str]:
+    """What a model is judged by: the last poses; every third if the rest were too few; else the end of every pose."""
+    poses = sorted((one for one in intervals if not one.turns), key=_begin)
+    turns = [one for one in intervals if one.turns]
+    needed, count = PARAMETERS + ROOM_FOR_FIT, len(poses)
+    last = count - round(share * count)
+    if last >= needed:
+        begin = poses[last].first
+        early = {one.angle for one in turns if one.first < begin}
+        late = [_marked(one, one.first >= begin and one.angle in early) for one in turns]
+        said = f"held out: the last {count - last} of {count} poses, and turns then that were made before too"
+        return [*(_marked(one, one.first >= begin) for one in poses), *late], said
+    if count - count // HELD_OUT >= needed:
+        said = f"held out: every third of {count} poses, because the last {count - last} cannot be spared"
+        return [*(_marked(one, k % HELD_OUT == HELD_OUT - 1) for k, one in enumerate(poses)), *turns], said
+    pieces = [piece for one in poses for piece in _cut(one, share)]
+    said = (
+        f"held out: the last {share:.0%} of the time of each pose, because none of {count} can be spared; "
+        "that judges noise and drift, not another attitude"
+    )
+    return [*pieces, *turns], said
+
+
+def _cut(one: Interval, share: float) -> list[Interval]:
+    middle = one.last - round(share * (one.last - one.first))
+    return [Interval(one.first, middle), Interval(middle, one.last, held=True, rest=True)]
+
+
+def _means(
+    foreign: Foreign, table: Table, number: int, channels: Channels, numbers: Array, time: Array, rate: float,
+    intervals: Sequence[Interval], notes: Sequence[str],
+) -> PosedRecords:  # fmt: skip
+    """Means over the intervals and how noisy they are."""
+    rows = [slice(one.first, one.last) for one in intervals]
+    observed = np.array([[_mean(channel[here]) for here in rows] for channel in numbers])
+    begin = np.array([time[one.first] for one in intervals])
+    seconds = np.array([(one.last - one.first) / rate for one in intervals])
+    rest = [here for one, here in zip(intervals, rows, strict=True) if not one.turns]
+    variance = np.zeros_like(observed)
+    for here in (channels.of("acceleration"), channels.of("rate")):
+        models = noises_at_rest([[numbers[c][part] for part in rest] for c in here], rate)
+        variance[here] = np.array([_variance(one, begin, seconds) for one in models]).reshape(len(here), -1)
+    still = np.array([not one.turns and not one.rest for one in intervals])
+    floor, said = _floor(channels, observed, variance, still)
+    conditions = {
+        name: np.array([_condition(foreign, table, quantity, here, CONDITIONS[name]) for here in rows])
+        for name, quantity in (("temperature", "temperature"), ("supply", "voltage"))
+    }
+    gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
+    gravity = foreign.manifest.gravity
+    return PosedRecords(
+        name=f"{foreign.run}#{number}", run=foreign.run, channels=channels, observed=observed,
+        variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
+        u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
+        held=np.array([one.held for one in intervals]), gravity=gravity.value, u_gravity=gravity.uncertainty,
+        notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
+    )  # fmt: skip
+
+
+def _mean(values: Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if len(there) else math.nan
+
+
+def _condition(foreign: Foreign, table: Table, quantity: str, here: slice, usual: float) -> float:
+    found = foreign.manifest.of("condition", quantity)
+    value = _mean(foreign.si(table, found[0])[here]) if found else usual
+    return value if math.isfinite(value) else usual
+
+
+def _variance(model: NoiseModel, begin: Array, seconds: Array) -> Array:
+    """Variance of the mean of every interval about the mean of all, unit² of the values, (n,)."""
+    since = begin - float(begin.min())
+    covariance = model.covariance(since, since + seconds)
+    centred = np.eye(len(begin)) - 1.0 / len(begin)
+    return np.asarray(np.diag(centred @ covariance @ centred))
+
+
+def noises_at_rest(channels: Sequence[Sequence[Array]], rate: float) -> list[NoiseModel]:
+    """White noise, and flicker if they need it together, of like channels with their parts at rest, (n,), at `rate` Hz.
+
+    Lines of cosine transforms without the mean (see `spectrum.Lines`). The ends of a part, where a hand may still
+    be on it, are left out, and the parts' median is taken in every band of frequency: one that was pushed counts
+    little. Raises BadInput if all parts are short.
+    """
+    found = [_noise(parts, rate) for parts in channels]
+    coloured = sum(gain for _, _, gain in found) > 0.0
+    return [flicker if coloured else white for white, flicker, _ in found]
+
+
+def _noise(parts: Sequence[Array], rate: float) -> tuple[NoiseModel, NoiseModel, float]:
+    """White noise; white noise and flicker; and how much better the latter is by Schwarz's criterion (1978)."""
+    step = step_of(np.concatenate(parts))
+    rounding = step**2 / 6.0 / rate
+    density = _together([_lines(_middle(part), rate) for part in parts], rounding)
+    level = float(np.average(density.density, weights=density.dof))
+    white = NoiseModel(rate, max(level - rounding, 0.0), quantisation=rounding)
+    coloured = fit_density(density, rate, step=step, pole=None)
+    gain = 2.0 * (_likelihood(density, coloured) - _likelihood(density, white))
+    return white, coloured, gain - math.log(float(density.dof.sum()))
+
+
+def _middle(part: Array) -> Array:
+    """A part without its ends and without gaps."""
+    end = int(EDGE * len(part))
+    values = part[end : len(part) - end]
+    return np.asarray(values[np.isfinite(values)], np.float64)
+
+
+def _lines(values: Array, rate: float) -> tuple[Array, Array]:
+    """Frequencies and squares of the lines of one part, Hz and unit²/Hz; none of a short one."""
+    from scipy.fft import dct
+
+    if len(values) < LEAST:
+        return np.zeros(0), np.zeros(0)
+    lines: Array = dct(values, type=2, norm="ortho")[1:]
+    frequency = np.arange(1, len(values), dtype=np.float64) * rate / (2.0 * len(values))
+    return np.asarray(frequency), np.asarray(lines**2 * 2.0 / rate)
+
+
+def _together(parts: Sequence[tuple[Array, Array]], least: float) -> Density:
+    """Median over the parts of their means in bins of equal width in the logarithm of frequency, at least `least`."""
+    seen: dict[int, list[tuple[float, int, float]]] = {}
+    for frequency, power in parts:
+        place = np.floor(BINS * np.log10(frequency)).astype(np.intp)
+        for one in np.unique(place).tolist():
+            here = place == one
+            count = int(np.count_nonzero(here))
+            middle = (
+                1.0 - 2.0 / (9.0 * count)
+            ) ** 3  # median of χ² ÷ its degrees of freedom (Wilson and Hilferty 1931)
+            mean = float(power[here].mean())
+            seen.setdefault(one, []).append((mean / middle, count, float(np.log(frequency[here]).mean())))
+    if not seen:
+        raise BadInput(f"poses: found no part at rest of {LEAST} samples, wanted longer poses")
+    found = [np.array(seen[one]) for one in sorted(seen)]
+    efficiency = [1.0 if len(one) == 1 else EFFICIENCY for one in found]
+    return Density(
+        np.array([math.exp(float(np.average(one[:, 2], weights=one[:, 1]))) for one in found]),
+        np.array([max(float(np.median(one[:, 0])), least) for one in found]),
+        np.array([share * float(one[:, 1].sum()) for share, one in zip(efficiency, found, strict=True)]),
+    )
+
+
+def _likelihood(seen: Density, model: NoiseModel) -> float:
+    """Logarithm, without constants, of that of bins which are gamma distributed (Whittle 1953)."""
+    level = model.density(seen.frequency)
+    return -0.5 * float(seen.dof @ (np.log(level) + seen.density / level))
+
+
+def step_of(values: Array) -> float:
+    """Smallest difference between the numbers that a record holds: what it is rounded to."""
+    different = np.diff(np.unique(values[np.isfinite(values)]))
+    return float(different.min()) if len(different) else 0.0
+
+
+def _floor(channels: Channels, observed: Array, variance: Array, still: NDArray[np.bool_]) -> tuple[Array, str]:
+    """Variance that poses taken twice show beyond their noise, (c, 1), and what is to be said of it."""
+    triad = channels.of("acceleration")
+    floor = np.zeros((len(channels.names), 1))
+    if len(triad) != 3:
+        return floor, ""
+    force = (observed / channels.sensitivity[:, None])[triad][:, still]
+    size = np.linalg.norm(force, axis=0)
+    pairs = _pairs(force / size)
+    if len(pairs) < FEWEST:
+        return floor, "hardly a pose is repeated: how well it comes back is not known"
+    noise = np.sum((variance / channels.sensitivity[:, None] ** 2)[triad][:, still] * (force / size) ** 2, axis=0)
+    beyond = [0.5 * (size[i] - size[k]) ** 2 - 0.5 * (noise[i] + noise[k]) for i, k in pairs]
+    square = max(float(np.mean(beyond)), 0.0)
+    floor[triad] = square * channels.sensitivity[triad][:, None] ** 2
+    return floor, f"{len(pairs)} pairs of poses agree to {math.sqrt(square):.2g} m/s² beyond their noise"
+
+
+def _pairs(direction: Array) -> list[Pair]:
+    """Poses that follow each other at any distance in the same attitude, each of them once."""
+    found: list[Pair] = []
+    taken: set[int] = set()
+    near = direction.T @ direction > math.cos(REPEATED)
+    for i, k in zip(*np.nonzero(np.triu(near, 1)), strict=True):
+        if not {int(i), int(k)} & taken:
+            taken |= {int(i), int(k)}
+            found.append((int(i), int(k)))
+    return found

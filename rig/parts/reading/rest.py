@@ -1,0 +1,62 @@
+"""An imported record at rest: mean, scatter and the noise coefficients of every channel, SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.errors import BadInput
+from rig.foreign.manifest import SI_OF, Column
+from rig.foreign.tables import Foreign, Table
+from rig.parts.reading.poses import step_of
+from rig.signals import noise
+from rig.signals.noise import Coefficient
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """One channel at rest: mean and standard deviation (SI), coefficients N (SI/√Hz), B (SI) and K (SI·√Hz)."""
+
+    table: str
+    channel: str
+    unit: str
+    mean: float
+    deviation: float
+    coefficients: dict[str, Coefficient]
+
+    @property
+    def in_words(self) -> str:
+        """One line."""
+        units = {"N": f"{self.unit}/√Hz", "B": self.unit, "K": f"{self.unit}·√Hz"}
+        known = [
+            f"{name} = {one.value:.4g} ± {2.0 * (one.u or 0.0):.2g} {units[name]}"
+            for name, one in self.coefficients.items()
+            if name in units and one.value is not None
+        ]
+        mean = (
+            f"{self.table}, {self.channel}: mean {self.mean:.6g} {self.unit}, standard deviation {self.deviation:.3g}"
+        )
+        return "; ".join([mean, *known])
+
+
+def at_rest(foreign: Foreign) -> Iterator[AtRest]:
+    """Every channel of the device in every file. Raises BadInput for a record that says nothing of its noise."""
+    for table in foreign.tables:
+        for column in foreign.manifest.of("device"):
+            yield _channel(foreign, table, column)
+
+
+def _channel(foreign: Foreign, table: Table, column: Column) -> AtRest:
+    values, time = foreign.si(table, column), foreign.time(table)
+    if not np.isfinite(values).all():
+        raise BadInput(f"{table.label}, {column.channel}: found rows without a number, wanted a whole record at rest")
+    rate = 1.0 / float(np.median(np.diff(time)))
+    fitted = noise.fit(values, rate, step=step_of(values), pole=None)
+    unit = SI_OF.get(column.quantity, "")
+    mean, deviation = float(values.mean()), float(values.std(ddof=1))
+    if not math.isfinite(deviation):
+        raise BadInput(f"{table.label}, {column.channel}: found {len(values)} rows, wanted some hundred")
+    return AtRest(table.label, column.channel, unit, mean, deviation, dict(noise.coefficients(fitted)))

@@ -1,0 +1,304 @@
+"""From a run on the shaker to `SineRecords`, one for every mounting: lines, noise and conditions of each record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import units
+from rig.archive.records import Recorded, Signals, mounts, reference, signals
+from rig.motion import ORDERS
+from rig.parts.channels import channels_of
+from rig.parts.reading.conditions import smoothed
+from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
+from rig.parts.sine_lines import LIMIT, density, slow_noise, taken
+from rig.parts.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
+from rig.signals import tone
+from rig.signals.spectrum import Density
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+LONGEST = 60.0  # s of a record at rest that are looked at
+OUTSTANDING = 6.0  # robust standard deviations: one sample in 10⁹ of normal noise
+FEW = 1e-9  # share of samples that may stand out
+GATINGS = 3
+
+
+@dataclass(frozen=True)
+class _Record:
+    """One record, or a piece of one at rest."""
+
+    begin: float
+    seconds: float
+    lines: Complexes  # (c, LINES)
+    usable: NDArray[np.bool_]  # (c,)
+    leftover: Leftover
+    temperature: float
+    supply: float
+    before: Complexes
+    point: SinePoint | None
+    reference_variance: Array
+    gated: Complexes
+    outliers: tuple[float, float]
+
+
+def shaken(records: Recorded) -> list[SineRecords]:
+    """Every mounting of a run on the shaker with sines; [] for a run that has none. Raises BadInput as `sines` does."""
+    if not any("frequency" in body for body in records.points.values()):
+        return []
+    chain = chain_of(records)
+    mains = units.parse(str(records.header["bench_file"]["mains"]), "frequency")
+    made: list[SineRecords] = []
+    for number, (axis, bodies, statics) in enumerate(_mountings(records)):
+        whole = [one for body in statics for one in _resting(records, body, mains)]
+        whole += [_driven(records, sine, chain, mains) for sine in sines(records, chain) if sine.point.index in bodies]
+        made.append(_joined(records, f"{records.name}#{number}", axis, whole, mains))
+    return made
+
+
+def _mountings(records: Recorded) -> Iterator[tuple[str, set[int], list[Mapping[str, Any]]]]:
+    """Axis, indices of its points and journal bodies of its records at rest, for every time the cube was mounted."""
+    groups: dict[int, tuple[str, set[int], list[Mapping[str, Any]]]] = {}
+    latest = -1
+    for entry, mount in mounts(records):
+        if mount is None or mount["place"] != "shaker":
+            continue
+        if entry.kind == "confirmed" and entry.body["action"] == "mount_on_shaker":
+            latest += 1
+            groups[latest] = (str(mount["axis"]), set(), [])
+        elif latest in groups and entry.kind in ("point", "step"):
+            if "frequency" in entry.body:
+                groups[latest][1].add(int(entry.body["index"]))
+            elif "purpose" in entry.body and "samples" in entry.body:
+                groups[latest][2].append(entry.body)
+    yield from (group for group in groups.values() if group[1])
+
+
+def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterator[_Record]:
+    """Pieces of about one second of a record at rest."""
+    found = signals(records.samples(str(body["samples"])))
+    if "ldv" not in found.names:
+        return
+    seconds = min(len(found.instants) / found.rate, LONGEST)
+    each = round(found.rate * seconds / max(1, math.floor(seconds)))
+    for first in range(0, min(len(found.instants), round(LONGEST * found.rate)) - each + 1, each):
+        here = slice(first, first + each)
+        volts = found.volts[here]
+        mean = volts.mean(axis=0)
+        lines = np.zeros((volts.shape[1], LINES), np.complex128)
+        lines[:, 0] = mean
+        lines[:, 1:ORDERS] = np.nan
+        begin = found.start + float(found.instants[first])
+        gate = _Gate(np.zeros(ORDERS, np.complex128), 0.0, 0.0, np.empty(0))
+        yield _record(found, begin, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
+
+
+def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Record:
+    point, found = sine.point, sine.record
+    every = {**point.lines, "ldv": point.reference_line}
+    lines = np.full((len(found.names), LINES), np.nan, np.complex128)
+    for c, name in enumerate(found.names):
+        lines[c, 0] = every[name].mean
+        lines[c, 1:ORDERS] = every[name].amplitudes
+    at = np.asarray(point.frequency * np.arange(1, ORDERS), np.float64)
+    per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
+    gate = _gated(sine, chain)
+    variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, gate.left, at)])
+    return _record(found, found.start + float(found.instants[0]), lines, sine.left, point, mains, variance, gate)
+
+
+@dataclass(frozen=True)
+class _Gate:
+    """The reference without samples that stand out: acceleration (6,), their share and depth, what is left (n,)."""
+
+    acceleration: Complexes
+    share: float
+    depth: float
+    left: Array
+
+
+def _gated(sine: Sine, chain: Chain) -> _Gate:
+    """Fit the reference again without samples beyond six robust standard deviations, until none is left."""
+    found, point = sine.record, sine.point
+    column = found.names.index("ldv")
+    left = sine.left[:, column]
+    count = int(np.count_nonzero(np.isfinite(point.acceleration)))
+    shown = np.concatenate([[0.0], point.acceleration])
+    good = np.abs(left - np.median(left)) < OUTSTANDING * _robust(left)
+    if good.mean() > 1.0 - FEW:
+        return _Gate(shown, 0.0, 0.0, left)
+    volts = found.volts[:, column]
+    design = tone.design(found.instants, point.frequency, count)
+    for _ in range(GATINGS):
+        solution = np.linalg.lstsq(design[good], volts[good], rcond=None)[0]
+        left = volts - design @ solution
+        good = np.abs(left) < OUTSTANDING * _robust(left)
+    order = np.arange(1, count + 1)
+    parts = solution[: 2 * count]
+    amplitudes = (parts[0::2] + 1j * parts[1::2]) * np.exp(-2j * math.pi * point.frequency * order * found.skew[column])
+    at = np.asarray(point.frequency * order)
+    shown[1 : count + 1] = 2j * math.pi * at * chain.velocity_per_volt(point.scale, at) * amplitudes
+    signal = volts - left - solution[-1]
+    large = ~good & (np.abs(signal) > 0.5 * np.abs(signal).max())
+    depth = float(np.median(-left[large] / signal[large])) if large.any() else 0.0
+    return _Gate(shown, float(1.0 - good.mean()), depth, np.where(good, left, 0.0))
+
+
+def _robust(left: Array) -> float:
+    """Standard deviation from the median of absolute values, as for normal noise."""
+    return 1.4826 * float(np.median(np.abs(left - np.median(left))))
+
+
+def _reference_noise(sine: Sine, left: Array, at: Array) -> Array:
+    """Variance of each part of the reference's lines, V², from its own record within an octave either way."""
+    found = sine.record
+    count = len(left)
+    power = np.abs(np.fft.rfft(left)) ** 2 * (2.0 / count**2)
+    f = np.fft.rfftfreq(count, 1.0 / found.rate)
+    order = f / sine.point.frequency
+    free = np.abs(order - np.round(order)) * sine.point.frequency > LIMIT * found.rate / count
+    result = []
+    for one in at:
+        near = free & (f > min(0.5 * one, 0.25 * found.rate)) & (f < max(2.0 * one, 100.0 * found.rate / count))
+        result.append(float(power[near].mean()) if near.any() else float(power[1:].mean()))
+    return np.array(result)
+
+
+def _record(
+    found: Signals, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
+    variance: Array, gate: _Gate,
+) -> _Record:  # fmt: skip
+    count = len(left)
+    resolution = found.rate / count
+    spectrum = np.fft.rfft(left, axis=0) * (2.0 / count)
+    at = np.arange(len(spectrum)) * resolution
+    spectrum *= np.exp(-2j * math.pi * at[:, None] * found.skew)
+    for place, order in enumerate(MAINS_ORDERS, ORDERS):
+        lines[:, place] = _at(left, found, order * mains)
+    lines[:, ORDERS:] *= np.exp(-2j * math.pi * mains * np.array(MAINS_ORDERS) * begin)
+    step = float(np.diff(np.sort(found.skew))[0]) if len(found.skew) > 1 else 0.0
+    names = list(found.names)
+    free = np.array([not found.clipped.get(name) for name in names])
+    marked = taken(np.asarray(at, np.float64), point.frequency if point else None, resolution)
+    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], marked)
+    return _Record(
+        begin=begin,
+        seconds=count / found.rate,
+        lines=lines,
+        usable=free,
+        leftover=leftover,
+        temperature=_mean(found, "temperature", 100.0),
+        supply=_mean(found, "supply", 1.0),
+        before=_before(lines, point, mains, step),
+        point=point,
+        reference_variance=variance,
+        gated=gate.acceleration,
+        outliers=(gate.share, gate.depth),
+    )
+
+
+def _at(left: Array, found: Signals, frequency: float) -> Complexes:
+    """Amplitude at one frequency of every channel, at a common instant."""
+    t = np.arange(len(left)) / found.rate
+    turned = np.exp(-2j * math.pi * frequency * t) @ left * (2.0 / len(left))
+    return np.asarray(turned * np.exp(-2j * math.pi * frequency * found.skew))
+
+
+def _mean(found: Signals, name: str, factor: float) -> float:
+    return float(found.of(name).mean()) * factor if name in found.names else math.nan
+
+
+def _before(lines: Complexes, point: SinePoint | None, mains: float, step: float) -> Complexes:
+    """Lines of the slot before each, one slot earlier; those of the last slot come before the first."""
+    f = np.concatenate([(point.frequency if point else 0.0) * np.arange(ORDERS), mains * np.array(MAINS_ORDERS)])
+    return np.asarray(np.roll(lines, 1, axis=0) * np.exp(-2j * math.pi * f * step))
+
+
+def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], mains: float) -> SineRecords:
+    """Records in the order of time, channels of sensors only."""
+    whole = sorted(whole, key=lambda one: one.begin)
+    cables = list(records.header["bench_file"]["cables"]["shaker"])
+    channels = channels_of(records, cables, relative_to="ldv")
+    rows = np.array([cables.index(n) for n in channels.names])
+    leftovers = [one.leftover for one in whole]
+    densities = [density(leftovers, row, mains) for row in rows]
+    step = 20.0 / 65535.0
+    models = tuple(
+        slow_noise(d, float(pole), leftovers[0], step) for d, pole in zip(densities, channels.pole, strict=True)
+    )
+    points = [one.point for one in whole]
+    begins = np.array([one.begin for one in whole])
+    observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
+    usable = np.array([one.usable[rows] & _trusted(one.point) for one in whole]).T
+    return SineRecords(
+        name=name,
+        run=records.name,
+        axis=axis,
+        channels=channels,
+        observed=np.asarray(observed),
+        before=np.asarray(np.array([one.before[rows] for one in whole]).transpose(1, 0, 2)),
+        variance=_variances(densities, whole, observed, mains),
+        noise=models,
+        shown=np.nan_to_num(
+            [np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]
+        ),
+        gated=np.nan_to_num([one.gated for one in whole]),
+        outliers=np.array([one.outliers for one in whole]),
+        reference_variance=np.array([one.reference_variance for one in whole]),
+        frequency=np.array([0.0 if p is None else p.frequency for p in points]),
+        nominal=np.array([0.0 if p is None else _nominal(records, p) for p in points]),
+        begin=begins,
+        end=np.array([one.begin + one.seconds for one in whole]),
+        level=tuple("rest" if p is None else p.level for p in points),
+        index=np.array([-1 if p is None else p.index for p in points]),
+        usable=usable,
+        source=np.array([0.0 if p is None else p.source for p in points]),
+        scale=np.array([0.0 if p is None else p.scale for p in points]),
+        temperature=smoothed(begins, np.array([one.temperature for one in whole])),
+        supply=smoothed(begins, np.array([one.supply for one in whole])),
+        mains=mains,
+        gravity=reference(records, "gravity", "gravity").value,
+        directions=directions(axis),
+        leftovers=tuple(_only(one.leftover, rows) for one in whole),
+        notes=tuple(f"{p.run} point {p.index}: {f}" for p in points if p and not _trusted(p) for f in p.flags),
+    )
+
+
+def _trusted(point: SinePoint | None) -> bool:
+    """Whether nothing but the record's length is to be said of a point: the fit knows the frequency, not its cycles."""
+    return point is None or all(flag.startswith("not whole cycles") for flag in point.flags)
+
+
+def _shown(point: SinePoint | None) -> Complexes:
+    """Harmonics 0 … 5 of the acceleration that the reference shows, none at rest."""
+    if point is None:
+        return np.zeros(ORDERS, np.complex128)
+    return np.concatenate([[0.0], point.acceleration])
+
+
+def _only(leftover: Leftover, rows: NDArray[np.intp]) -> Leftover:
+    return Leftover(
+        leftover.begin, leftover.resolution, leftover.amplitude[:, rows], leftover.reference, leftover.taken
+    )
+
+
+def _nominal(records: Recorded, point: SinePoint) -> float:
+    return float(records.points[point.index]["frequency"])
+
+
+def _variances(densities: Sequence[Density], whole: Sequence[_Record], observed: Complexes, mains: float) -> Array:
+    """Variance of each part of every line, V²: density ÷ length of the record."""
+    found = np.full(observed.shape, np.nan)
+    for p, one in enumerate(whole):
+        f = np.concatenate(
+            [(one.point.frequency if one.point else math.nan) * np.arange(ORDERS), mains * np.array(MAINS_ORDERS)]
+        )
+        for c, of_channel in enumerate(densities):
+            at = np.interp(np.log(np.where(f > 0.0, f, 1.0)), np.log(of_channel.frequency), of_channel.density)
+            found[c, p] = np.where(np.isfinite(observed[c, p]) & (f > 0.0), at / one.seconds, np.nan)
+    return found

@@ -1,0 +1,332 @@
+"""From a turntable run to `TurnRecords`: window means, the encoder's motion over the same windows, noise at rest."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.archive.records import Recorded, mounts, reference
+from rig.errors import BadInput
+from rig.model import Channels
+from rig.parts.channels import channels_of
+from rig.parts.reading.conditions import smoothed
+from rig.parts.reading.revolutions import SLOWEST, mount_of
+from rig.parts.turning import HIGHEST_RATE, Shown, TurnRecords, stretches_of
+from rig.signals import noise
+from rig.signals.encoder import LINES
+from rig.signals.rotation import Edges, Track, edges_of, encoder_settings
+from rig.signals.spectrum import Density, log_bins
+
+Array = NDArray[np.float64]
+WINDOW = 100  # scans in one mean: 32 ms, short against wow, long against a line
+PIECE = 12.0  # s of a stretch
+PER_DECADE = 12.0
+OUTSTANDING = 9.0  # times the density of the timing noise: three standard deviations
+SMOOTH = 2.5  # Hz; a platter that starts or stops has no faster acceleration than this
+WOW = 1.8  # Hz; a platter at a steady speed has lines only above this, twice per turn of the faster speed
+SLOW = 0.3  # Hz; slower motion is kept whole
+NEIGHBOURS = 40  # lines of a transform on either side
+KNOT = 48  # lines between knots of the track: wow passes, the patterns that sampled edges leave do not
+LOCAL = 15  # lines on either side whose median interval says how long one should take
+
+
+@dataclass(frozen=True)
+class _Record:
+    """One record as windows."""
+
+    label: str
+    kind: str
+    start: float
+    first: int  # window
+    means: Array  # (channels, n)
+    counted: Shown
+    closed: Shown
+    lost: int
+    lines: int
+    mount: Mapping[str, Any]
+    ends: tuple[float, float]  # angle before the first and after the last line, NaN if unknown
+    clipped: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+
+def spun(records: Recorded) -> list[TurnRecords]:
+    """A turntable run with its records of one run together; [] for a run that has none.
+
+    Raises BadInput if the encoder cannot be read.
+    """
+    found = list(_records(records))
+    if not any(one.kind != "rest" for one in found):
+        return []
+    cables = list(records.header["bench_file"]["cables"]["turntable"])
+    return [_joined(records, channels_of(records, cables), _at_rest(found))]
+
+
+def _records(records: Recorded) -> Iterator[_Record]:
+    settings = encoder_settings(records.lines)
+    names = _names(records)
+    for entry, mount in mounts(records):
+        body = entry.body
+        if entry.kind != "point" or mount is None or mount["place"] != "turntable" or "samples" not in body:
+            continue
+        means, start, interval, skew, clipped = _windows(records, str(body["samples"]), names)
+        if str(body.get("purpose", "")).startswith("rest_"):
+            still = np.zeros(means.shape[1])
+            shown = Shown(np.full(len(still), math.nan), still, still)
+            yield _Record(str(body["label"]), "rest", start, 0, means, shown, shown, 0, 0, mount,
+                          (math.nan, math.nan), clipped)  # fmt: skip
+        elif "phase" in body:
+            edges = edges_of(records.pieces(body["samples"]), settings)
+            yield _moving(body, start, interval, skew, means, edges, mount, clipped)
+
+
+def _names(records: Recorded) -> list[str]:
+    cables = list(records.header["bench_file"]["cables"]["turntable"])
+    sensors = records.header["sensor"]["channels"]
+    return [name for name in cables if name in sensors or name in ("supply", "temperature")]
+
+
+def _windows(records: Recorded, block: str, names: Sequence[str]) -> tuple[Array, float, float, float, dict[str, int]]:
+    """Means (names, n) V, start s, interval between scans s, mean delay of the sensors in the scan s, clipped."""
+    sums: list[Array] = []
+    start = interval = skew = 0.0
+    clipped: dict[str, int] = {}
+    rest: NDArray[np.uint16] | None = None
+    columns: list[int] = []
+    scale = np.zeros((2, len(names)))
+    for piece in records.pieces(block):
+        if not columns:
+            columns = [piece.index(n) for n in names]
+            low = np.array([piece.channels[c].low for c in columns])
+            high = np.array([piece.channels[c].high for c in columns])
+            scale = np.array([low, (high - low) / 65535.0])
+            start, interval = piece.start, piece.timing.scan_period
+            skew = float(np.mean([piece.channels[c].slot for c in columns])) * piece.timing.convert_period
+        counts = piece.counts[:, columns]
+        _count_clipped(counts, names, clipped)
+        counts = counts if rest is None else np.concatenate([rest, counts])
+        whole = len(counts) // WINDOW
+        sums.append(counts[: whole * WINDOW].reshape(whole, WINDOW, -1).mean(axis=1))
+        rest = counts[whole * WINDOW :].copy()
+    means = np.concatenate(sums).T
+    return scale[0][:, None] + scale[1][:, None] * means, start, interval, skew, clipped
+
+
+def _count_clipped(counts: NDArray[np.uint16], names: Sequence[str], clipped: dict[str, int]) -> None:
+    ends = np.count_nonzero((counts == 0) | (counts == 65535), axis=0)
+    for name, n in zip(names, ends.tolist(), strict=True):
+        if n:
+            clipped[name] = clipped.get(name, 0) + n
+
+
+def _moving(
+    body: Mapping[str, Any], start: float, interval: float, skew: float, means: Array, edges: Edges,
+    mount: Mapping[str, Any], clipped: Mapping[str, int],
+) -> _Record:  # fmt: skip
+    times, missing = _restored(edges)
+    whole = replace(edges, times=times, index_line=_shifted(edges.index_line, missing))
+    bounds = (np.arange(means.shape[1] + 1) * WINDOW - 0.5) * interval + skew
+    tracks = (edges, whole) if missing.any() else (whole,)
+    shown = [_shown(one, bounds, body["phase"] == "hold") for one in tracks]
+    inside = shown[-1][1]
+    kept = [Shown(s.angle[inside], s.rate[inside], s.acceleration[inside]) for s, _ in shown]
+    anchor = _anchor(whole)
+    last = anchor + whole.sense * 2.0 * math.pi * (len(times) - 1) / LINES
+    notes = tuple(f"{body['label']}: {count} lines between index pulses" for count in edges.flagged)
+    return _Record(
+        str(body["label"]), str(body["phase"]), start, int(inside.start), means[:, inside], kept[0], kept[-1],
+        int(missing.sum()), len(times), mount, (anchor, last), clipped, notes,
+    )  # fmt: skip
+
+
+def _restored(edges: Edges) -> tuple[Array, NDArray[np.intp]]:
+    """Times of all lines, and how many were put back after each: where a gap is twice the local interval."""
+    gaps = np.diff(edges.times)
+    padded = np.pad(gaps, LOCAL, mode="reflect")
+    local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * LOCAL + 1), axis=1)
+    missing = np.maximum(np.round(gaps / local - 0.15).astype(np.intp) - 1, 0)
+    # a platter that starts or stops changes its pace within a few lines
+    slow = gaps > 4.0 * float(np.median(gaps))
+    missing[slow] = 0
+    if not missing.any():
+        return edges.times, missing
+    more = [edges.times[k] + gaps[k] * (j + 1.0) / (missing[k] + 1.0)
+            for k in np.flatnonzero(missing) for j in range(int(missing[k]))]  # fmt: skip
+    return np.sort(np.concatenate([edges.times, np.array(more)])), missing
+
+
+def _shifted(index_line: NDArray[np.int64], missing: NDArray[np.intp]) -> NDArray[np.int64]:
+    before = np.concatenate([[0], np.cumsum(missing)])
+    return np.asarray(index_line + before[np.clip(index_line, 0, len(before) - 1)], np.int64)
+
+
+def _anchor(edges: Edges) -> float:
+    """Angle of the first line, rad: the line after an index pulse is at zero; NaN without a pulse."""
+    if not len(edges.index_line):
+        return math.nan
+    first = -(int(edges.index_line[0]) + 1) * 2.0 * math.pi / LINES
+    return edges.sense * first
+
+
+def _shown(edges: Edges, bounds: Array, steady: bool) -> tuple[Shown, slice]:
+    """Angle, rate and acceleration over windows, and the windows during which the platter surely turned."""
+    track = Track(edges, KNOT)
+    inside = (bounds[:-1] > track.begin) & (bounds[1:] < track.end)
+    first, stop = _longest(inside)
+    here = bounds[first : stop + 1]
+    angle = track.angle(here)
+    speed = np.abs(np.diff(angle)) / np.diff(here)
+    a, b = _longest(speed > SLOWEST)
+    first, stop = first + a, first + b
+    here, angle = here[a : b + 1], angle[a : b + 1]
+    width = float(here[1] - here[0])
+    found = [np.full(len(bounds) - 1, math.nan) for _ in range(3)]
+    found[0][first:stop] = _anchor(edges) + 0.5 * (angle[1:] + angle[:-1])
+    found[1][first:stop], found[2][first:stop] = _cleared(
+        np.diff(angle) / width, np.diff(track.rate(here)) / width, width, edges.u_time, WOW if steady else SMOOTH
+    )
+    return Shown(*found), slice(first, stop)
+
+
+def _cleared(rate: Array, acceleration: Array, width: float, u_time: float, smooth: float) -> tuple[Array, Array]:
+    """Rate and acceleration without what is only the timing noise of the lines.
+
+    Noise in what a model takes as given makes every fitted sensitivity too small (errors in variables). The lines of a
+    cosine transform that do not stand out from that noise are therefore left out: what is left is close to the
+    expectation of the true motion, which has no such bias. One edge is uncertain by ω·u_time, so the rate's density is
+    (2πf)²·2·(ω·u_time)² ÷ lines per second; above `smooth` (Hz), where true motion has lines only, it is whatever lies
+    around them, because sampled edges leave patterns.
+    """
+    from scipy.fft import dct, idct
+
+    count = len(rate)
+    f = np.arange(count) / (2.0 * count * width)
+    speed = float(np.median(np.abs(rate)))
+    floor = (2.0 * math.pi * f) ** 2 * 2.0 * (speed * u_time) ** 2 / (speed * LINES / (2.0 * math.pi))
+    lines, slopes = (dct(one, type=2, norm="ortho") for one in (rate, acceleration))
+    density = lines**2 * 2.0 * width
+    kept = (density > OUTSTANDING * np.where(f > smooth, _around(density), floor)) | (f < SLOW)
+    rate = idct(np.where(kept & (f < HIGHEST_RATE), lines, 0.0), type=2, norm="ortho")
+    return rate, idct(np.where(kept & (f < SMOOTH), slopes, 0.0), type=2, norm="ortho")
+
+
+def _around(density: Array) -> Array:
+    """Level of the neighbourhood, lines that stand out left aside: running median ÷ that of χ² with one degree."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(density, 2 * NEIGHBOURS + 1, mode="reflect") / 0.455)
+
+
+def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
+    """Bounds of the longest stretch of trues; raises BadInput if there is none."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    if not len(edges):
+        raise BadInput("encoder: found no window during which the platter turned, wanted some")
+    begins, ends = edges[0::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    return int(begins[longest]), int(ends[longest])
+
+
+def _at_rest(found: Sequence[_Record]) -> list[_Record]:
+    """Records at rest with the angle at which the platter stood: where a neighbour started or came to rest."""
+    result = []
+    for place, one in enumerate(found):
+        if one.kind == "rest":
+            angle = math.nan
+            if place + 1 < len(found) and found[place + 1].kind == "spin_up":
+                angle = found[place + 1].ends[0]
+            elif place and found[place - 1].kind == "coast_down":
+                angle = found[place - 1].ends[1]
+            shown = replace(one.counted, angle=np.full(one.means.shape[1], angle))
+            one = replace(one, counted=shown, closed=shown)
+        result.append(one)
+    return result
+
+
+def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> TurnRecords:
+    interval = WINDOW * _scan_period(records)
+    lengths = [one.means.shape[1] for one in found]
+    bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
+    slices = tuple(itertools.pairwise(bounds))
+    names = _names(records)
+    means = np.concatenate([one.means for one in found], axis=1)
+    sensors = np.array([names.index(n) for n in channels.names])
+    counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))
+    frames = np.concatenate(
+        [np.repeat(_frame(one.mount)[:, :, None], n, axis=2) for one, n in zip(found, lengths, strict=True)], axis=2
+    )
+    pairs = list(zip(found, lengths, strict=True))
+    time = np.concatenate([one.start + (one.first + np.arange(n) + 0.5) * interval for one, n in pairs])
+    clipped = {name for one in found for name in one.clipped}
+    return TurnRecords(
+        name=f"{records.name}#turntable",
+        run=records.name,
+        channels=channels,
+        observed=means[sensors],
+        counted=counted,
+        closed=closed,
+        lost=sum(one.lost for one in found),
+        lines=sum(one.lines for one in found),
+        noise=tuple(_noise(found, int(row), interval) for row in sensors),
+        interval=interval,
+        time=time,
+        records=slices,
+        labels=tuple(one.label for one in found),
+        stretches=stretches_of(slices, interval, PIECE, counted.rate),
+        motor=np.repeat([one.kind in ("spin_up", "hold", "perturbed") for one in found], lengths),
+        outward=frames[:, 0],
+        tangent=frames[:, 1],
+        up=frames[:, 2],
+        radius=np.repeat([float(one.mount["radius"]) for one in found], lengths),
+        temperature=smoothed(time, _logged(means, names, "temperature", 100.0)),
+        supply=smoothed(time, _logged(means, names, "supply", 1.0)),
+        gravity=reference(records, "gravity", "gravity").value,
+        usable=np.array([n not in clipped for n in channels.names]),
+        resting=interval * sum(n for one, n in pairs if one.kind == "rest"),
+        notes=tuple(note for one in found for note in one.notes),
+    )
+
+
+def _scan_period(records: Recorded) -> float:
+    for entry in records.lines:
+        if entry.kind == "point" and "samples" in entry.body:
+            return next(iter(records.pieces(str(entry.body["samples"])))).timing.scan_period
+    raise BadInput(f"{records.name}: found no record of the converter, wanted one")
+
+
+def _together(shown: Sequence[Shown]) -> Shown:
+    return Shown(*(np.concatenate([getattr(s, n) for s in shown]) for n in ("angle", "rate", "acceleration")))
+
+
+def _frame(mount: Mapping[str, Any]) -> Array:
+    """Outward, tangent and up in the case frame, as columns, (3, 3): what each axis feels of a unit along them."""
+    made, one, none = mount_of(mount), np.ones(()), np.zeros(())
+    felt = [[made.force(k, one, none, 0.0), made.force(k, none, one, 0.0), made.force(k, none, none, 1.0)]
+            for k in range(3)]  # fmt: skip
+    return np.array(felt, np.float64)
+
+
+def _logged(means: Array, names: Sequence[str], name: str, factor: float) -> Array:
+    return means[names.index(name)] * factor if name in names else np.full(means.shape[1], math.nan)
+
+
+def _noise(found: Sequence[_Record], row: int, interval: float) -> noise.NoiseModel:
+    """White noise and flicker of the window means from the records at rest; of all records without any."""
+    from scipy.fft import dct
+
+    resting = [one for one in found if one.kind == "rest"] or list(found)
+    lines: list[tuple[Array, Array]] = []
+    for one in resting:
+        values = one.means[row]
+        count = len(values)
+        turned = dct(values - values.mean(), type=2, norm="ortho")[1:]
+        lines.append((np.arange(1, count) / (2.0 * count * interval), turned**2 * (2.0 * interval)))
+    f, power = (np.concatenate([one[k] for one in lines]) for k in (0, 1))
+    order = np.argsort(f, kind="stable")
+    density: Density = log_bins(f[order] * (1.0 + 1e-12 * np.arange(len(f))), power[order], PER_DECADE, 1.0)
+    return noise.fit_density(density, 1.0 / interval, step=0.0, pole=None)  # a mean over a window has no alias of it

@@ -1,0 +1,208 @@
+"""Repair a model step by step: start it, refit it, add an effect, take one out; every step with its errors.
+
+A step changes the model as a value; who calls writes it to its file. Errors before a step are those of the model on the
+same runs, so a ladder climbs on one set of data: where the runs have changed since the last step, a refit comes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rig.archive.records import Recorded
+from rig.diagnose import instruments, search
+from rig.diagnose.diagnose import chance
+from rig.errors import BadInput
+from rig.fit import fit as fitting
+from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.fit import Fit
+from rig.fit.floor import Floor, with_floor
+from rig.fit.quality import error_of
+from rig.model import Effect, Quantity, Term
+from rig.repair.model_file import OF_CHANNELS, Action, Entry, Model, Start, Step, load, terms_of, with_fit
+
+SAME = 1e-3  # relative: errors of one model on the same records
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a step works on: the evidence of the runs, the shelf, and the newest bench time of the runs, s."""
+
+    evidence: Evidence
+    shelf: Mapping[str, Effect]
+    when: float
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """A model after a step, the fit, and what is to be said of the step. `before` and `after` are lines of history."""
+
+    model: Model
+    fit: Fit
+    before: Step
+    after: Step
+    remarks: tuple[str, ...] = ()
+
+
+def bench_of(records: Sequence[Recorded], shelf: Mapping[str, Effect], floor: Floor | None = None) -> Bench:
+    """Read the runs of one unit, with the bench's own floor if it is known. Raises BadInput as `evidence_of` does."""
+    newest = max(entry.t for run in records for entry in run.lines)
+    return Bench(with_floor(evidence_of(records), floor), shelf, newest)
+
+
+def model_at(path: Path, bench: Bench, start: Start | None) -> Model:
+    """The model of a file, or a new one if there is none yet (`start` then says which, by default the data sheet's).
+
+    Raises BadInput for a model of another unit, and for a start that is not the file's.
+    """
+    if not path.exists():
+        return new(bench, start or "datasheet")
+    model = load(path, bench.shelf)
+    if model.unit != bench.evidence.serial:
+        raise BadInput(f"{path}: found a model of {model.unit}, wanted one of {bench.evidence.serial}")
+    if start is not None and start != model.start:
+        raise BadInput(f"--start: found {start}, wanted {model.start} as {path} begins, or another file with --model")
+    return model
+
+
+def new(bench: Bench, start: Start) -> Model:
+    """A model without effects and without history."""
+    evidence = bench.evidence
+    return Model(unit=evidence.serial, start=start, simulated=evidence.simulated, runs=evidence.runs)
+
+
+def fit_of(bench: Bench, model: Model) -> Fit:
+    """The model fitted to the runs."""
+    return bench.evidence.fitted(terms_of(model, bench.shelf), poles=model.poles, shared=model.shared)
+
+
+def fitted(bench: Bench, model: Model) -> Repaired:
+    """The model refitted to the runs: its first step, or one more."""
+    found = fit_of(bench, model)
+    action: Action = "fit" if model.history else "start"
+    made = with_fit(model, bench.evidence, found, action=action, when=bench.when, known=_known(bench, model))
+    before = model.history[-1] if model.history else made.history[-1]
+    return Repaired(made, found, before, made.history[-1])
+
+
+def added(bench: Bench, model: Model, name: str, on: Quantity | None = None, formula: str | None = None) -> Repaired:
+    """The model with one more effect, from the best of its starts, everything refitted.
+
+    `on` chooses the channels of an effect that can act on either kind; by default those where it removes most. With
+    `formula` the effect is a term of one's own of this name. Raises BadInput for an effect that cannot be added.
+    """
+    base = _on_these_runs(bench, model)
+    if name in OF_CHANNELS and formula is None:
+        return _with_part(bench, base, name)
+    entry = Entry(effect=name, formula=formula, on=on)
+    effect = _addable(bench, base.model, entry)
+    term, known, remarks, after = (_by_test if effect.looks_in else _by_score)(bench, base, effect, on)
+    if formula is not None:
+        own = entry.model_copy(update={"on": term.on})
+        model_with = base.model.model_copy(update={"effects": (*base.model.effects, own)})
+    else:
+        model_with = base.model
+    everything = {**_known(bench, base.model), **({name: known} if known else {})}
+    made = with_fit(model_with, bench.evidence, after, action="add", effect=name, on=term.on, when=bench.when,
+                    known=everything)  # fmt: skip
+    return Repaired(made, after, base.after, made.history[-1], remarks)
+
+
+def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
+    """The paper's model with the channels' output filters, or the shared one with their own sensitivities, refitted."""
+    lacks = not base.model.poles if name == OF_CHANNELS[0] else base.model.shared
+    if not lacks:
+        raise BadInput(f"add: found {name} in the model already, wanted another effect")
+    more = base.model.model_copy(update={"effects": (Entry(effect=name), *base.model.effects)})
+    found = fit_of(bench, more)
+    made = with_fit(more, bench.evidence, found, action="add", effect=name, when=bench.when,
+                    known=_known(bench, more))  # fmt: skip
+    return Repaired(made, found, base.after, made.history[-1])
+
+
+def removed(bench: Bench, model: Model, name: str, on: Quantity | None = None) -> Repaired:
+    """The model without an effect, everything refitted. Raises BadInput if it is not in the model."""
+    left = [entry for entry in model.effects if entry.effect != name or on not in (None, entry.on)]
+    if len(left) == len(model.effects):
+        there = ", ".join(entry.effect for entry in model.effects) or "none"
+        raise BadInput(f"remove: found no {name} in the model, wanted one of its effects: {there}")
+    base = _on_these_runs(bench, model)
+    kept = [entry for entry in base.model.effects if entry.effect != name or on not in (None, entry.on)]
+    smaller = base.model.model_copy(update={"effects": tuple(kept)})
+    found = fit_of(bench, smaller)
+    made = with_fit(smaller, bench.evidence, found, action="remove", effect=name, on=on, when=bench.when,
+                    known=_known(bench, smaller))  # fmt: skip
+    return Repaired(made, found, base.after, made.history[-1])
+
+
+def _on_these_runs(bench: Bench, model: Model) -> Repaired:
+    """The model as its last step left it if that was on the same records, else refitted with a step of its own."""
+    if model.history:
+        last = model.history[-1]
+        if last.runs == bench.evidence.runs and last.when == round(bench.when, 3):
+            found = fit_of(bench, model)
+            if abs(error_of(found) / last.error - 1.0) < SAME:  # else somebody changed the file by hand
+                return Repaired(model, found, last, last)
+    return fitted(bench, model)
+
+
+def _addable(bench: Bench, model: Model, entry: Entry) -> Effect:
+    from rig.repair.model_file import effect_of
+
+    if entry.formula is not None and entry.on is None:
+        entry = entry.model_copy(update={"on": "acceleration" if bench.evidence.sines else "rate"})
+    try:
+        effect = effect_of(entry, bench.shelf)
+    except BadInput as error:
+        raise BadInput(f"add: {error}") from error
+    if effect.absorbed:
+        raise BadInput(f"add: found {effect.name}, wanted an effect that a fit can see ({effect.absorbed})")
+    there = [one.on for one in model.effects if one.effect == entry.effect]
+    if there and (len(effect.quantities) < 2 or entry.on in there or entry.formula is not None):
+        raise BadInput(f"add: found {effect.name} in the model already, wanted another effect")
+    return effect
+
+
+_Added = tuple[Term, Mapping[str, float] | None, tuple[str, ...], Fit]
+
+
+def _by_test(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None) -> _Added:
+    """An effect that a test of its own determines."""
+    there = {term.effect.name for term in base.fit.state.terms if not term.prior}
+    found = [f for f in instruments.findings(bench.evidence, bench.shelf, there) if f.term.effect.name == effect.name]
+    if not found:
+        raise BadInput(f"add: found no sign of {effect.name} in these runs, wanted one; {effect.separate_by}")
+    state = replace(base.fit.state, terms=(*base.fit.state.terms, found[0].term))
+    after = fitting.fit(base.fit.parts, state)
+    return found[0].term, found[0].u, (found[0].because,), after
+
+
+def _by_score(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None) -> _Added:
+    """An effect that the observables show: the start that promises most, refitted."""
+    candidates = [t for t in search.possible({effect.name: effect}, base.fit) if on in (None, t.on)]
+    if not candidates:
+        places, kinds = " or the ".join(effect.places), " or ".join(effect.quantities) or "any quantity"
+        wanted = f"an effect that is not in the model and can act here (this one: {kinds}, on the {places})"
+        raise BadInput(f"add: found {effect.name}{f' on {on}' if on else ''}, wanted {wanted}")
+    best = search.scores(base.fit, candidates)[0]
+    if best.visible < search.HIDDEN:
+        raise BadInput(
+            f"add: found {effect.name}, which these runs cannot tell from what is fitted anyway, "
+            f"wanted another measurement: {effect.separate_by}"
+        )
+    made = search.refitted(base.fit, best)
+    after = fitting.fit(base.fit.parts, made.fit.state)
+    said = [] if search.admissible(made.term, made.u) else [f"{effect.name}: its size is outside what physics allows"]
+    if base.fit.objective - after.objective < chance(best):
+        said.append(f"{effect.name} removes no more than chance would: this data does not ask for it")
+    return after.state.terms[-1], None, tuple(said), after
+
+
+def _known(bench: Bench, model: Model) -> dict[str, Mapping[str, float]]:
+    """Standard uncertainties that a test of its own gave, by effect; no fit finds them again."""
+    return {
+        entry.effect: {name: one.u for name, one in entry.coordinates.items() if one.u is not None}
+        for entry in model.effects
+        if entry.formula is None and entry.effect in bench.shelf and bench.shelf[entry.effect].looks_in
+    }

@@ -1,0 +1,184 @@
+"""Figures of a run, as SVG files that a person would rather look at than the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig.archive.records import Records, poses_of, signals
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rig.calibrate.calibration import Calibration, ResponsePoint
+
+COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#7a3b8f", "backup": "#c2571a"}
+
+
+def draw(records: Records, made: Calibration | None, folder: Path) -> list[Path]:
+    """Every figure that the run's records, and what they were calibrated to, allow; the paths, in `folder`."""
+    drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(records)) is not None]
+    if made is not None and made.responses:
+        drawn.insert(0, ("response", response(made, f"{records.header['title']}: response")))
+    if drawn:
+        folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, figure in drawn:
+        if records.header["simulated"]:
+            figure.text(0.995, 0.005, "SIMULATED", ha="right", va="bottom", color="#b00020", fontsize=9, weight="bold")
+        path = folder / f"{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+        paths.append(path)
+    return paths
+
+
+def _new(rows: int, height: float, title: str) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, height), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    figure.suptitle(title, fontsize=11)
+    for ax in axes:
+        ax.grid(True, which="both", color="#dddddd", linewidth=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def response(made: Calibration, title: str) -> Figure:
+    """Magnitude (relative to the lowest) and phase of every driven channel against the vibrometer, over frequency.
+
+    Bars are expanded uncertainties (k = 2) without the vibrometer's gain, which all points share.
+    """
+    figure, (magnitude, phase) = _new(2, 6.0, title)
+    for channel, points in made.responses.items():
+        for number, level in enumerate(dict.fromkeys(point.level for point in points)):
+            mine = [point for point in points if point.level == level and not point.flags]
+            if mine:
+                _response_line((magnitude, phase), channel, mine, number)
+    magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest")
+    phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz (circles: first level, crosses: second)")
+    _plain_ticks(phase)
+    magnitude.legend(fontsize=8, ncols=3, frameon=False)
+    return figure
+
+
+def _response_line(axes: Any, channel: str, points: list[ResponsePoint], number: int) -> None:
+    f = [point.frequency for point in points]
+    lowest = float(np.mean([point.magnitude for point in points[:3]]))
+    style = {"color": COLOURS[channel[:6]], "fmt": "ox+s"[number % 4] + "-", "markersize": 4, "linewidth": 0.9}
+    style |= {"elinewidth": 0.8, "capsize": 1.5}
+    values, bars = [p.magnitude / lowest for p in points], [2.0 * p.u_magnitude / lowest for p in points]
+    axes[0].errorbar(f, values, yerr=bars, label=channel if number == 0 else None, **style)
+    angles = np.degrees(np.unwrap([p.phase for p in points]))
+    axes[1].errorbar(f, angles, yerr=[np.degrees(2.0 * p.u_phase) for p in points], **style)
+
+
+def svg_of_response(made: Calibration) -> dict[str, bytes]:
+    """The response figure as SVG, by name; none without responses."""
+    import io
+
+    from matplotlib import rc_context
+
+    if not made.responses:
+        return {}
+    figure, file = response(made, "Response against the vibrometer"), io.BytesIO()
+    with rc_context({"svg.hashsalt": made.name}):
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    return {"response": file.getvalue()}
+
+
+def _plain_ticks(ax: Any) -> None:
+    """Frequencies as a person writes them."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    ax.xaxis.set_major_locator(FixedLocator([10, 20, 50, 100, 200, 500, 1000]))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def rotation(records: Records) -> Figure | None:
+    """Gyro volts over a turntable run, phase by phase."""
+    bodies = [body for body in records.points.values() if "phase" in body]
+    if not bodies:
+        return None
+    axis = bodies[0]["gyro_axis"]
+    figure, axes = _new(2, 5.5, f"{records.header['title']}: raw output of the gyros")
+    for ax, name in zip(axes, (f"gyro_{axis}", f"backup_{axis}"), strict=True):
+        for body in bodies:
+            samples = records.samples(body["samples"])
+            seconds, volts = _thinned(samples.instants(name) + samples.start, samples.volts(name))
+            ax.plot((seconds - records.header["started"]), volts, linewidth=0.7, color=COLOURS[name.split("_")[0]])
+        ax.set_ylabel(f"{name} / V")
+    axes[-1].set_xlabel("bench time since the run began / s")
+    return figure
+
+
+def density(records: Records) -> Figure | None:
+    """Noise density of the sensors at rest."""
+    from scipy.signal import welch
+
+    bodies = [e.body for e in records.lines if e.kind == "point" and e.body.get("purpose") == "noise"]
+    if not bodies:
+        return None
+    figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: noise density at the converter")
+    samples = records.samples(bodies[0]["samples"])
+    rate = samples.timing.scan_rate
+    for name, colour in (
+        ("unit_a_x", "unit_a"),
+        ("unit_c_x", "unit_c"),
+        ("gyro_yaw", "gyro"),
+        ("backup_yaw", "backup"),
+    ):
+        if any(channel.name == name for channel in samples.channels):
+            frequency, power = welch(samples.volts(name), rate, nperseg=min(len(samples.counts), 1 << 14))
+            ax.loglog(*_log_bins(frequency[1:], power[1:]), linewidth=1.0, label=name, color=COLOURS[colour])
+    ax.set(xlabel="frequency / Hz", ylabel="density / (µV/√Hz)")
+    ax.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
+    """Mean power in logarithmic bins, as a density in µV/√Hz: the eye averages logarithms, which is biased."""
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, bins + 1)
+    place = np.digitize(frequency, edges)
+    used = [k for k in range(1, bins + 1) if np.any(place == k)]
+    centre = [float(frequency[place == k].mean()) for k in used]
+    return centre, [float(np.sqrt(power[place == k].mean())) * 1e6 for k in used]
+
+
+def poses(records: Records) -> Figure | None:
+    """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
+    found = poses_of(records)
+    if len(found) < 6:
+        return None
+    figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: residual of the straight line against gravity")
+    means = [signals(records.samples(body["samples"])) for _, body in found]
+    for name, sensor in records.header["sensor"]["channels"].items():
+        if sensor["quantity"] == "acceleration" and name in means[0].names:
+            component = np.array([up["xyz".index(sensor["axis"])] for up, _ in found])
+            volts = np.array([one.of(name).mean() for one in means])
+            slope, offset = np.polyfit(component, volts, 1)
+            left = (volts - slope * component - offset) / slope * 1e3
+            ax.plot(range(1, len(left) + 1), left, "o-", markersize=3, linewidth=0.6, color=COLOURS[name[:6]])
+    for unit in ("unit_a", "unit_b", "unit_c"):
+        ax.plot([], [], "o-", markersize=3, color=COLOURS[unit], label=f"{unit} x y z")
+    ax.set(xlabel="pose", ylabel="residual / mg")
+    ax.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _thinned(x: Any, y: Any, most: int = 4000) -> tuple[Any, Any]:
+    """Block means, so that a long record draws as what it is and the file stays small."""
+    step = max(1, len(x) // most)
+    whole = len(x) // step * step
+    return x[:whole].reshape(-1, step).mean(axis=1), y[:whole].reshape(-1, step).mean(axis=1)
+
+
+_FIGURES: dict[str, Callable[[Records], Figure | None]] = {
+    "rotation": rotation,
+    "noise": density,
+    "poses": poses,
+}

@@ -225,10 +225,10 @@ def _branches(tree: ast.Module, parts: set[str]) -> Iterator[tuple[int, str]]:
             yield one.lineno, f"case {ast.unparse(one)}"
         elif isinstance(one, ast.Match) and _asks(one.subject):
             yield one.subject.lineno, f"match {ast.unparse(one.subject)}"
-        elif (isinstance(one, ast.Compare) and any(_asks(side) for side in (one.left, *one.comparators))) or (
-            isinstance(one, ast.Compare) and any(_names(side) & parts for side in one.comparators)
-        ):
-            yield one.lineno, ast.unparse(one)
+        elif isinstance(one, ast.Compare):
+            sides = (one.left, *one.comparators)
+            if any(_asks(side) for side in sides) or any(_names(side) & parts for side in one.comparators):
+                yield one.lineno, ast.unparse(one)
 
 
 def _asks(side: ast.expr) -> bool:
@@ -266,7 +266,8 @@ def said(house: House) -> str:
         f"circles of rooms {len(house.circles)}, of modules {len(house.module_circles)}",
         f"rooms without a layer {len(house.unlisted)}, arrows that lead up {len(house.upward)}",
         f"branches on a part {len(house.branches)}",
-        f"functions {len(house.lengths)}, over {LONG} lines {len(house.long)}, p90 {house.p90} lines, typed {house.typed:.1%}",
+        f"functions {len(house.lengths)}, over {LONG} lines {len(house.long)}, p90 {house.p90} lines",
+        f"functions with all types {house.typed:.1%}",
     ]
     groups = {
         "lines by room": [f"{name} {lines}" for name, lines in house.rooms.items()],

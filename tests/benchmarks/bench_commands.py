@@ -1,0 +1,49 @@
+"""How long whole commands take on two standard runs, as a ratio to loading the libraries that any answer needs."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rig.bench.control import stop
+
+LIBRARIES = "import numpy, scipy.optimize, matplotlib.figure"
+BARS = {"compare": 3.0, "diagnose": 4.0}  # where it has to come to
+CEILINGS = {"compare": 10.0, "diagnose": 14.0}  # what it takes now and a little; to be lowered
+TURNS = 7
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A standard sweep and a standard turntable run."""
+    folder = tmp_path_factory.mktemp("commands") / "runs"
+    for words in (("sweep", "--axis", "x"), ("turntable",)):
+        taken("-m", "rig", *words, "--runs", str(folder))
+    stop(folder / ".bench" / "simulated")
+    return folder
+
+
+def taken(*command: str) -> float:
+    """Real time (s) of one program."""
+    begun = time.perf_counter()
+    subprocess.run([sys.executable, *command], check=True, capture_output=True)
+    return time.perf_counter() - begun
+
+
+@pytest.mark.parametrize("command", sorted(BARS))
+def test_a_command_takes_few_times_what_its_libraries_take(runs: Path, command: str) -> None:
+    whole = ("-m", "rig", command, "all", "--runs", str(runs))
+    taken(*whole)  # the files are in memory from here on
+    pairs = [(taken(*whole), taken("-c", LIBRARIES)) for _ in range(TURNS)]
+    ours, libraries = (statistics.median(times) for times in zip(*pairs, strict=True))
+    ratio = statistics.median(one / other for one, other in pairs)
+    print(
+        f"\nrig {command}, a sweep and a turntable run: {ours:.2f} s, libraries {libraries:.2f} s, "
+        f"ratio {ratio:.1f} (bar {BARS[command]:.0f})"
+    )
+    assert ratio <= CEILINGS[command]

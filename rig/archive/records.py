@@ -6,6 +6,7 @@ that an hour needs no more memory than a minute.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,6 +20,8 @@ from rig.archive.reader import Run
 from rig.errors import BadInput, StandardOverdue
 from rig.record import Channel, CubeSamples, Samples, Timing
 
+OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
+OF_A_STEP = ("step", "point", "repeated")  # lines that name a step by its index
 PIECE = 1 << 17  # scans handed out at once: 4 MB of sixteen channels
 
 
@@ -163,6 +166,78 @@ def signals(samples: Samples) -> Signals:
     step = float(np.max(high - low)) / 65535.0
     skew = slots * samples.timing.convert_period
     return Signals(names, instants, skew, volts, clipped, step, samples.start)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One procedure of a run, as if it had been a run of its own: the run's records, its own lines and points."""
+
+    run: Recorded
+    lines: Sequence[Entry]
+    points: Mapping[int, Mapping[str, Any]]
+
+    @property
+    def name(self) -> str:
+        return self.run.name
+
+    @property
+    def status(self) -> str:
+        return self.run.status
+
+    @property
+    def header(self) -> Mapping[str, Any]:
+        return self.run.header
+
+    def samples(self, name: str) -> Samples:
+        return self.run.samples(name)
+
+    def pieces(self, name: str) -> Iterator[Samples]:
+        return self.run.pieces(name)
+
+    def traces(self, name: str) -> Signals:
+        return self.run.traces(name)
+
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        return self.run.table(name)
+
+
+def experiments(records: Recorded) -> list[Recorded]:
+    """The procedures that a run carried out, in order, those that were never begun left out.
+
+    A sequence remounts the cube and changes the cables between its procedures, so nothing that one of them recorded
+    may be read with what another one set. A run of one procedure, or of none (an imported one), is its own experiment.
+    """
+    spans = _spans(records.header)
+    if len(spans) < 2:
+        return [records]
+    lines: dict[range, list[Entry]] = {span: [] for span in spans}
+    waiting: list[Entry] = []  # confirmations, blocks and notes stand before the line of the step that they belong to
+    for entry in records.lines:
+        if entry.kind in OF_THE_RUN:
+            for every in lines.values():
+                every.append(entry)
+            continue
+        waiting.append(entry)
+        if entry.kind in OF_A_STEP:
+            for span in spans:
+                if int(entry.body["index"]) in span:
+                    lines[span] += waiting
+            waiting = []
+    return [
+        Experiment(records, sorted(own, key=lambda entry: entry.n), {n: b for n, b in records.points.items() if n in s})
+        for s, own in lines.items()
+        if any(entry.kind in OF_A_STEP for entry in own)
+    ]
+
+
+def _spans(header: Mapping[str, Any]) -> list[range]:
+    """Indices of the steps of every procedure of a run."""
+    if "experiments" in header:
+        return [range(int(one["first"]), int(one["end"])) for one in header["experiments"]]
+    # Runs of before say less, but every procedure began by asking for its cable set.
+    steps = header.get("steps", ())
+    begins = [n for n, step in enumerate(steps) if (step["kind"], step["label"]) == ("Ask", "cables")]
+    return [range(first, end) for first, end in itertools.pairwise([*begins, len(steps)])]
 
 
 def statics(records: Recorded) -> Iterator[Mapping[str, Any]]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from types import ModuleType
 from typing import Annotated, Any, Union, cast
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, create_model
 
-from rig.bench.steps import Ask, BenchFacts, Mistake, Plan, Step, Wait
+from rig.bench.steps import Ask, BenchFacts, Experiment, Mistake, Plan, Step, Wait
 from rig.errors import ConfigError, Problem
 from rig.room import Request
 from rig.units import Time
@@ -20,6 +20,7 @@ from rig.yaml.document import Document, KeyPath
 
 # How the reader tells kinds apart; none of them is a key, so that a mistake's path is never taken for one.
 PROMPT, WAIT, REPEAT, SEQUENCE = "a prompt", "a wait", "a repetition", "a sequence"
+SINGLE = "a step"  # a plan that is no procedure
 
 
 class Prompt(BaseModel):
@@ -135,7 +136,18 @@ def _plan(item: Any, facts: BenchFacts) -> Plan:
         steps=tuple(step for _, part in parts for step in part.steps),
         mistakes=tuple(Mistake((*path, *one.path), one.text) for path, part in parts for one in part.mistakes),
         expect={name: limits for _, part in parts for name, limits in part.expect.items()},
+        parts=tuple(_experiments([part for _, part in parts])),
     )
+
+
+def _experiments(plans: Iterable[Plan]) -> Iterator[Experiment]:
+    """Where each procedure's steps stand in the sequence; single steps between them are no procedure."""
+    first = 0
+    for one in plans:
+        end = first + len(one.steps)
+        if one.procedure != SINGLE:
+            yield Experiment(one.procedure, one.title, first, end)
+        first = end
 
 
 def _parts(items: list[Any], path: KeyPath, facts: BenchFacts) -> Iterator[tuple[KeyPath, Plan]]:
@@ -156,4 +168,4 @@ def _parts(items: list[Any], path: KeyPath, facts: BenchFacts) -> Iterator[tuple
 
 
 def _single(step: Step) -> Plan:
-    return Plan(procedure="step", title=step.label, settings={}, steps=(step,))
+    return Plan(procedure=SINGLE, title=step.label, settings={}, steps=(step,))

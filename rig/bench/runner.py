@@ -144,6 +144,7 @@ def _header(order: Order, bench: Bench, overdue: list[str]) -> dict[str, Any]:
         "settings": plan.settings,
         "document": order.document,
         "steps": [{"kind": type(s).__name__, "label": s.label, "point": s.point} for s in plan.steps],
+        "experiments": [asdict(one) for one in plan.experiments],
         "points_total": plan.points,
         "expect": {name: list(limits) for name, limits in plan.expect.items()},
         "simulated": description.simulated,

@@ -135,8 +135,21 @@ class Mistake:
 
 
 @dataclass(frozen=True)
+class Experiment:
+    """One procedure within a plan: its steps are those from `first` up to `end`, which is not among them."""
+
+    procedure: str
+    title: str
+    first: int
+    end: int
+
+
+@dataclass(frozen=True)
 class Plan:
-    """What will happen: steps in order, and what is expected of the result."""
+    """What will happen: steps in order, and what is expected of the result.
+
+    `parts` are the procedures of a sequence; prompts, waits and remounts between them belong to none.
+    """
 
     procedure: str
     title: str
@@ -144,6 +157,12 @@ class Plan:
     steps: tuple[Step, ...]
     mistakes: tuple[Mistake, ...] = ()
     expect: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    parts: tuple[Experiment, ...] = ()
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """Every procedure of the plan: the parts of a sequence, else the plan itself."""
+        return self.parts or (Experiment(self.procedure, self.title, 0, len(self.steps)),)
 
     @property
     def points(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, mounts, reference, signals
+from rig.archive.records import Recorded, experiments, mounts, reference, signals
 from rig.calibrate import accelerometers, gyros, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.budget import Budget, Contribution, half_width
@@ -69,7 +69,8 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     header = _common_header(runs)
     sensors = sensors_of(header)
     poles = {name: sensor.bandwidth for name, sensor in sensors.items()}
-    bench = _Bench(runs, header, sensors, alignment_of(runs), *resting.noise_of(runs, sensors, poles))
+    done = [one for records in runs for one in experiments(records)]
+    bench = _Bench(done, header, sensors, alignment_of(runs), *resting.noise_of(done, sensors, poles))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
     results = [*shaken.results(), *turned.results()]
@@ -79,7 +80,7 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
                        "a turntable run, a tumble or a noise record")  # fmt: skip
     stated = header["sensor"]["channels"]
     paper = paper_method.accelerometer_rows(shaken.everything(), stated, runs)
-    paper += [row for records in runs for row in paper_method.gyro_rows(records, stated)]
+    paper += [row for one in done for row in paper_method.gyro_rows(one, stated)]
     return Calibration(
         name=name,
         sensor=str(header["sensor"]["sensor"]),
@@ -117,7 +118,7 @@ def _source(records: Recorded, digest: str) -> Source:
 
 @dataclass(frozen=True)
 class _Bench:
-    """What every part of a calibration looks up."""
+    """What every part of a calibration looks up; `runs` are single experiments, those of a sequence taken apart."""
 
     runs: Sequence[Recorded]
     header: Mapping[str, Any]
@@ -228,24 +229,23 @@ class _Shaken:
 
     def __init__(self, bench: _Bench) -> None:
         self._bench = bench
-        self.points: dict[tuple[int, int], list[SinePoint]] = {}  # by run and first point of a mounting
+        self.points: list[list[SinePoint]] = []  # of every sweep, each a mounting
         self._fits: dict[str, list[ChannelFit]] = {}
         self._whole: dict[str, ChannelFit] = {}
         self._unusable: dict[str, str] = {}
         self._chain: Chain | None = None
-        for number, records in enumerate(bench.runs):
+        for records in bench.runs:
             if any("frequency" in body for body in records.points.values()):
                 chain = chain_of(records)
                 if self._chain is None or chain.u_cutoff > self._chain.u_cutoff:
                     self._chain = chain  # standards are common to all runs; of their filters the least sure one counts
-                for group in _by_axis(sine_points(records, chain)):
-                    self.points[number, group[0].index] = group
+                self.points.append(sine_points(records, chain))
         self._refuse_wrong_axis()
         self._fit()
 
     def _refuse_wrong_axis(self) -> None:
         axes = {n: s.axis for n, s in self._bench.sensors.items() if n.startswith(("unit_a", "unit_b"))}
-        for group in self.points.values():
+        for group in self.points:
             moved = wrong_axis(group, axes)
             if moved is not None:
                 raise BadInput(f"{group[0].run}: found the motion along {moved}, wanted it along {group[0].axis}: "
@@ -258,7 +258,7 @@ class _Shaken:
         chain = self._chain
         if chain is None:
             return
-        for group in self.points.values():
+        for group in self.points:
             for sensor in self._driven(group[0].axis):
                 if sensor.name in group[0].lines:
                     self._fit_mounting(group, sensor, chain)
@@ -285,7 +285,7 @@ class _Shaken:
 
     def everything(self) -> list[SinePoint]:
         """All points of all runs."""
-        return [point for group in self.points.values() for point in group]
+        return [point for group in self.points for point in group]
 
     def results(self) -> Iterator[Result]:
         bench, chain = self._bench, self._chain
@@ -350,7 +350,7 @@ class _Shaken:
         }
 
     def flags(self) -> Iterator[str]:
-        for group in self.points.values():
+        for group in self.points:
             for point in group:
                 for flag in (*point.flags, *(f"{n} {f}" for n, one in point.lines.items() for f in one.flags)):
                     yield f"{point.run}, {point.frequency:.4g} Hz {point.level}: {flag}; the point was left out"
@@ -362,21 +362,6 @@ def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tupl
     weights = inverse.sum(axis=0)
     total = float(weights.sum())
     return float(weights @ volts) / total, total**-0.5
-
-
-def _by_axis(points: Sequence[SinePoint]) -> Iterator[list[SinePoint]]:
-    """Consecutive points of one axis: a mounting; a second sweep of the axis in the run is another one."""
-    group: list[SinePoint] = []
-    seen: set[tuple[float, str]] = set()
-    for point in points:
-        key = (round(point.frequency, 1), point.level)
-        if group and (point.axis != group[0].axis or key in seen):
-            yield group
-            group, seen = [], set()
-        group.append(point)
-        seen.add(key)
-    if group:
-        yield group
 
 
 def _level_rests(records: Recorded, sensor: Sensor) -> Iterator[tuple[float, float, float]]:
@@ -413,9 +398,8 @@ class _Turned:
                 self._setup = self._setup or self._made(records)
                 wired = records.header["bench_file"]["cables"]["turntable"]
                 channels = [c for c in wired if c in bench.sensors or c == "supply"]
-                for rotation in rotations_of(records, channels, nominal):
-                    axis = rotation.blocks[0].mount.axis
-                    self._rotations.setdefault(axis, []).append(rotation)
+                rotation = rotation_of(records, channels, nominal)
+                self._rotations.setdefault(rotation.blocks[0].mount.axis, []).append(rotation)
         if self._setup is not None:
             for axis, rotations in self._rotations.items():
                 for name in (f"gyro_{axis}", f"backup_{axis}"):
@@ -495,20 +479,6 @@ class _Turned:
         for rotations in self._rotations.values():
             for rotation in rotations:
                 yield from rotation.flags
-
-
-def rotations_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str, float]) -> list[Rotation]:
-    """The turntable run, one part for each gyro axis that stood on the platter's axis."""
-    whole = rotation_of(records, channels, nominal)
-    axes = dict.fromkeys(b.mount.axis for b in whole.blocks)
-    return [
-        replace(
-            whole,
-            blocks=tuple(b for b in whole.blocks if b.mount.axis == axis),
-            in_motion={n: lines for n, lines in whole.in_motion.items() if n.endswith(f"_{axis}")},
-        )
-        for axis in axes
-    ]
 
 
 def _tumble_results(bench: _Bench) -> Iterator[Result]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rig.archive.records import Recorded
+from rig.archive.records import Recorded, experiments
 from rig.errors import BadInput
 from rig.fit.fit import Fit, State, begin, fit
 from rig.foreign.tables import foreign_of, is_foreign
@@ -74,11 +74,12 @@ def evidence_of(runs: Sequence[Recorded]) -> Evidence:
     if not parts:
         names = ", ".join(run.name for run in runs)
         raise BadInput(f"{names}: found no sines and no turning platter, wanted a sweep or a turntable run")
+    done = [one for run in own for one in experiments(run)]
     known: list[Term] = [term for _, terms in imported for term in terms]
     if sines:
-        known += nuisances.of_shaker([run for run in own if any("frequency" in b for b in run.points.values())])
+        known += nuisances.of_shaker([one for one in done if any("frequency" in b for b in one.points.values())])
     if turnings:
-        known += nuisances.of_turntable([run for run in own if any("phase" in b for b in run.points.values())])
+        known += nuisances.of_turntable([one for one in done if any("phase" in b for b in one.points.values())])
     header = runs[0].header
     return Evidence(
         parts, tuple(known), tuple(run.name for run in runs), str(header["sensor"]["serial"]),

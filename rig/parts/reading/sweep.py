@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, Signals, mounts, reference, signals
+from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics
 from rig.motion import ORDERS
 from rig.parts.channels import channels_of
 from rig.parts.reading.conditions import smoothed
@@ -48,35 +48,19 @@ class _Record:
 
 
 def shaken(records: Recorded) -> list[SineRecords]:
-    """Every mounting of a run on the shaker with sines; [] for a run that has none. Raises BadInput as `sines` does."""
-    if not any("frequency" in body for body in records.points.values()):
-        return []
+    """Every sweep of a run, each a mounting; [] for a run that has none. Raises BadInput as `sines` does."""
+    swept = [one for one in experiments(records) if any("frequency" in body for body in one.points.values())]
+    return [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(swept)]
+
+
+def _sweep(records: Recorded, name: str) -> SineRecords:
+    """One sweep: its records at rest and its sines."""
     chain = chain_of(records)
     mains = units.parse(str(records.header["bench_file"]["mains"]), "frequency")
-    made: list[SineRecords] = []
-    for number, (axis, bodies, statics) in enumerate(_mountings(records)):
-        whole = [one for body in statics for one in _resting(records, body, mains)]
-        whole += [_driven(records, sine, chain, mains) for sine in sines(records, chain) if sine.point.index in bodies]
-        made.append(_joined(records, f"{records.name}#{number}", axis, whole, mains))
-    return made
-
-
-def _mountings(records: Recorded) -> Iterator[tuple[str, set[int], list[Mapping[str, Any]]]]:
-    """Axis, indices of its points and journal bodies of its records at rest, for every time the cube was mounted."""
-    groups: dict[int, tuple[str, set[int], list[Mapping[str, Any]]]] = {}
-    latest = -1
-    for entry, mount in mounts(records):
-        if mount is None or mount["place"] != "shaker":
-            continue
-        if entry.kind == "confirmed" and entry.body["action"] == "mount_on_shaker":
-            latest += 1
-            groups[latest] = (str(mount["axis"]), set(), [])
-        elif latest in groups and entry.kind in ("point", "step"):
-            if "frequency" in entry.body:
-                groups[latest][1].add(int(entry.body["index"]))
-            elif "purpose" in entry.body and "samples" in entry.body:
-                groups[latest][2].append(entry.body)
-    yield from (group for group in groups.values() if group[1])
+    whole = [one for body in statics(records) for one in _resting(records, body, mains)]
+    driven = list(sines(records, chain))
+    whole += [_driven(records, sine, chain, mains) for sine in driven]
+    return _joined(records, name, driven[0].point.axis, whole, mains)
 
 
 def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterator[_Record]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, mounts, reference
+from rig.archive.records import Recorded, experiments, mounts, reference
 from rig.errors import BadInput
 from rig.model import Channels
 from rig.parts.channels import channels_of
@@ -56,15 +56,18 @@ class _Record:
 
 
 def spun(records: Recorded) -> list[TurnRecords]:
-    """A turntable run with its records of one run together; [] for a run that has none.
+    """Every turntable experiment of a run, its records together; [] for a run that has none.
 
     Raises BadInput if the encoder cannot be read.
     """
-    found = list(_records(records))
-    if not any(one.kind != "rest" for one in found):
-        return []
     cables = list(records.header["bench_file"]["cables"]["turntable"])
-    return [_joined(records, channels_of(records, cables), _at_rest(found))]
+    made: list[TurnRecords] = []
+    for one in experiments(records):
+        found = list(_records(one))
+        if any(record.kind != "rest" for record in found):
+            name = f"{records.name}#turntable{len(made) + 1 if made else ''}"
+            made.append(_joined(one, name, channels_of(one, cables), _at_rest(found)))
+    return made
 
 
 def _records(records: Recorded) -> Iterator[_Record]:
@@ -248,7 +251,7 @@ def _at_rest(found: Sequence[_Record]) -> list[_Record]:
     return result
 
 
-def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> TurnRecords:
+def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_Record]) -> TurnRecords:
     interval = WINDOW * _scan_period(records)
     lengths = [one.means.shape[1] for one in found]
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
@@ -264,7 +267,7 @@ def _joined(records: Recorded, channels: Channels, found: Sequence[_Record]) -> 
     time = np.concatenate([one.start + (one.first + np.arange(n) + 0.5) * interval for one, n in pairs])
     clipped = {name for one in found for name in one.clipped}
     return TurnRecords(
-        name=f"{records.name}#turntable",
+        name=name,
         run=records.name,
         channels=channels,
         observed=means[sensors],

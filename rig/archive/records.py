@@ -21,7 +21,7 @@ from rig.errors import BadInput, StandardOverdue
 from rig.record import Channel, CubeSamples, Samples, Timing
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
-OF_A_STEP = ("step", "point", "repeated")  # lines that name a step by its index
+OF_A_STEP = ("step", "point", "repeated", "prepared")  # lines that name a step by its index
 PIECE = 1 << 17  # scans handed out at once: 4 MB of sixteen channels
 
 

@@ -90,7 +90,7 @@ class _Taken:
 
 
 def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
-    timing = station.recorder.configure(rate=station.description.file.rate, channels=station.channels())
+    timing = station.wire()
     scans = math.ceil(step.seconds * timing.scan_rate - 1e-9)
     chunk = math.ceil(CHUNK * timing.scan_rate)
     station.recorder.start(scans)

@@ -53,6 +53,8 @@ def sine(step: Sine, station: Station) -> dict[str, Any]:
     Raises SignalOverload or SignalLow if the reference cannot be trusted, VerdictNotMet if the motion passes a limit.
     """
     omega = 2.0 * math.pi * step.frequency
+    if station.keeps("recorder") and station.wired != station.channels():
+        station.wire()  # the procedure before was on the other cable set, and this one began without a record at rest
     approach = _unknown(step.frequency, station.drive.constants)
     for attempt in range(3):
         wanted = step.acceleration / omega**2 / station.drive.constant(step.frequency)

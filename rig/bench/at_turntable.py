@@ -25,7 +25,7 @@ class WatchedRecord:
     def __init__(self, step: Spin, station: Station) -> None:
         self._station, self._step = station, step
         self.name = station.block_name(step.label)
-        timing = station.recorder.configure(rate=station.description.file.rate, channels=station.channels())
+        timing = station.wire()
         self._scans, self._scan_period = math.ceil(LOOK / timing.scan_period), timing.scan_period
         self._decoder = station.encoder.decoder()
         self._stream: Any = None

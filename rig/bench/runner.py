@@ -11,7 +11,7 @@ from typing import Any
 
 from rig.archive.runs import Runs
 from rig.archive.writer import RunWriter
-from rig.bench import at_rest, at_shaker, at_turntable
+from rig.bench import at_rest, at_shaker, at_turntable, resuming
 from rig.bench.assembly import Bench, connected
 from rig.bench.benchfile import BenchDescription
 from rig.bench.guard import Guard
@@ -80,7 +80,7 @@ def run(order: Order) -> Outcome:
 
 
 def resume(order: Order, name: str) -> Outcome:
-    """Go on with an interrupted run: same instruments and settings, the last point repeated, then the rest.
+    """Go on with an interrupted run: same instruments and settings, what may be repeated, then the rest.
 
     Raises BadInput if the bench is not that of the run, VerdictNotMet if the repeated point differs.
     """
@@ -199,9 +199,12 @@ class _Carrying:
         begun, cost = time.perf_counter(), self._simulation()
         self._guard.arm(self._bench.charges, within=PATIENCE, log=self._writer.path / "guard.jsonl")
         try:
+            if recorded:
+                self._station.cables = resuming.cables_of(self._order.plan.steps, done)
+                self._station.drive.constants |= resuming.drive_constants(recorded)
             self._prepare()
             if recorded:
-                self._repeat_last(recorded)
+                self._begin_again(recorded)
             for index, step in enumerate(self._order.plan.steps):
                 self._done = index
                 if index not in done:
@@ -233,8 +236,7 @@ class _Carrying:
         if any(isinstance(step, Sine) for step in self._order.plan.steps):
             at_shaker.prepare(self._station)
         if "recorder" in self._bench.instruments:
-            channels, rate = self._station.channels(), self._order.description.file.rate
-            self._station.recorder.configure(rate=rate, channels=channels)
+            self._station.wire()
         for role, instrument in self._bench.instruments.items():
             settings = instrument.settings()
             self._writer.note("settings", role=role, settings=settings)
@@ -248,27 +250,23 @@ class _Carrying:
                     f"{role}, {key}: found {settings[key]}, wanted {self.expected[role][key]} as the run began"
                 )
 
-    def _repeat_last(self, recorded: Mapping[int, Mapping[str, Any]]) -> None:
-        """The last sine point again: the ratio of motion to drive must be what it was before anything goes on."""
-        steps = self._order.plan.steps
-        for body in recorded.values():
-            if "drive_constant" in body:
-                self._station.drive.constants[body["frequency"]] = body["drive_constant"]
-        for index in sorted(recorded, reverse=True):
-            step = steps[index]
-            if isinstance(step, Ask) and step.request.action == "cables":
-                self._station.cables = str(step.request.settings["set"])
-                break
-        last = max((i for i in recorded if isinstance(steps[i], Sine)), default=None)
-        if last is None:
+    def _begin_again(self, recorded: Mapping[int, Mapping[str, Any]]) -> None:
+        """What the bench allows to repeat: of a sine, the ratio of motion to drive must be what it was."""
+        one = resuming.again(self._order.plan.steps, recorded.keys())
+        if one is None:
             return
-        self._station.step = f"{last:04d}-repeated"
-        body = carry_out_step(steps[last], self._station)
-        was, now = float(recorded[last]["drive_constant"]), float(body["drive_constant"])
-        self._writer.note("repeated", index=last, was=was, now=now, **body)
+        self._guard.beat(within=PATIENCE + one.step.duration)
+        self._report(one.step.label)
+        self._station.step = f"{one.index:04d}-{one.kind}"
+        body = carry_out_step(one.step, self._station)
+        if not isinstance(one.step, Sine):
+            self._writer.note(one.kind, index=one.index, **body)
+            return
+        was, now = float(recorded[one.index]["drive_constant"]), float(body["drive_constant"])
+        self._writer.note(one.kind, index=one.index, was=was, now=now, **body)
         if abs(now / was - 1.0) > RESUME_TOLERANCE:
             raise VerdictNotMet(
-                f"{steps[last].label}, repeated: found {now / was - 1.0:+.2%} in motion per drive, "
+                f"{one.step.label}, repeated: found {now / was - 1.0:+.2%} in motion per drive, "
                 f"wanted within {RESUME_TOLERANCE:.0%} of the point before the interruption"
             )
 

@@ -17,7 +17,7 @@ from rig.archive.writer import RunWriter
 from rig.bench.benchfile import BenchDescription
 from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
 from rig.errors import BadInput, InstrumentError
-from rig.record import CubeSamples, Samples
+from rig.record import CubeSamples, Samples, Timing
 from rig.room import Confirmation, Request, Room
 
 
@@ -83,6 +83,7 @@ class Station:
     progress: Callable[[str], None]
     drive: Drive
     cables: str = "shaker"
+    wired: tuple[str, ...] = ()  # channels that the converter was last configured for
     step: str = ""  # number of the step, the first part of its blocks' names
 
     @property
@@ -130,6 +131,11 @@ class Station:
         """Wiring of the converter with the cable set that is connected now."""
         cables = self.description.file.cables
         return cables["turntable" if self.cables == "turntable" else "shaker"]
+
+    def wire(self) -> Timing:
+        """Configure the converter for the cable set that is connected now."""
+        self.wired = self.channels()
+        return self.recorder.configure(rate=self.description.file.rate, channels=self.wired)
 
     def ask(self, request: Request) -> Confirmation:
         """Let the operator do one thing, and keep who confirmed what and when."""

@@ -394,7 +394,8 @@ class _Turned:
         self._setup: gyros.Setup | None = None
         nominal = {n: s.nominal for n, s in bench.sensors.items()}
         for records in bench.runs:
-            if any("phase" in body for body in records.points.values()):
+            phases = {body["phase"] for body in records.points.values() if "phase" in body}
+            if phases and ("hold" in phases or records.status == "completed"):  # an interrupted one may not have held
                 self._setup = self._setup or self._made(records)
                 wired = records.header["bench_file"]["cables"]["turntable"]
                 channels = [c for c in wired if c in bench.sensors or c == "supply"]

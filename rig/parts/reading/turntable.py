@@ -73,8 +73,10 @@ def spun(records: Recorded) -> list[TurnRecords]:
 def _records(records: Recorded) -> Iterator[_Record]:
     settings = encoder_settings(records.lines)
     names = _names(records)
+    moved = False
     for entry, mount in mounts(records):
         body = entry.body
+        moved |= entry.kind == "prepared"  # brought to rest when the run went on: not where the record before was made
         if entry.kind != "point" or mount is None or mount["place"] != "turntable" or "samples" not in body:
             continue
         means, start, interval, skew, clipped = _windows(records, str(body["samples"]), names)
@@ -85,7 +87,9 @@ def _records(records: Recorded) -> Iterator[_Record]:
                           (math.nan, math.nan), clipped)  # fmt: skip
         elif "phase" in body:
             edges = edges_of(records.pieces(body["samples"]), settings)
-            yield _moving(body, start, interval, skew, means, edges, mount, clipped)
+            one = _moving(body, start, interval, skew, means, edges, mount, clipped)
+            yield replace(one, ends=(math.nan, one.ends[1])) if moved else one
+            moved = False
 
 
 def _names(records: Recorded) -> list[str]:

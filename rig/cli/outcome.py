@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +32,8 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     records = Records(run)
     made, why = concluded(records)
     figure = draw(records, made, order.runs / "reports" / run.name)
-    rows = [] if made is None else key_results(made)
-    missed = _unmet(order.plan, rows)
+    rows = [] if made is None else key_results(made, records)
+    missed = [] if made is None else list(_unmet(order.plan, made))
     if as_json:
         print_json(
             {
@@ -45,7 +46,7 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
             }
         )
     else:
-        click.echo("\n".join(_run_lines(run, made, why)))
+        click.echo("\n".join(_run_lines(records, made, why)))
         _print_ending(done, figure, run)
     if missed:
         from rig.errors import VerdictNotMet
@@ -64,10 +65,13 @@ def concluded(records: Records) -> tuple[Calibration | None, str]:
         return None, str(error)
 
 
-def key_results(made: Calibration) -> list[Result]:
-    """What a technician looks at first: sensitivities; of a run without any, the deviations at rest."""
+def key_results(made: Calibration, records: Records) -> list[Result]:
+    """What a technician looks at first: sensitivities; of a noise record, or a run without any, deviations at rest."""
+    from rig.archive.records import statics
+
     rows = [r for r in made.results if r.determined and r.measurand in KEY_MEASURANDS]
-    return rows or list(made.of("deviation"))
+    noise = any(body["purpose"] == "noise" for body in statics(records))
+    return [*rows, *(made.of("deviation") if noise or not rows else ())]
 
 
 def _print_ending(done: Outcome, figure: list[Path], run: Run) -> None:
@@ -86,7 +90,7 @@ def run_as_text(run: Run) -> str:
     records = Records(run)
     if is_foreign(records):
         return "\n".join(_imported_lines(records))
-    return "\n".join(_run_lines(run, *concluded(records)))
+    return "\n".join(_run_lines(records, *concluded(records)))
 
 
 def _imported_lines(records: Records) -> list[str]:
@@ -109,10 +113,10 @@ def _imported_lines(records: Records) -> list[str]:
     return [*lines, f"next: rig compare {records.name}"]
 
 
-def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:
+def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str]:
     from rig.calibrate.calibration import text
 
-    summary = run.summary()
+    run, summary = records.run, records.run.summary()
     mark = "  SIMULATED" if summary["simulated"] else ""
     lines = [
         f"run {run.name}{mark}",
@@ -120,7 +124,7 @@ def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:
     ]
     if made is None:
         return [*lines, f"  not calibrated: {why}"]
-    rows = key_results(made)
+    rows = key_results(made, records)
     if rows:
         width = max(len(r.channel) for r in rows)
         lines += ["", *(f"  {r.channel:<{width}}  {text(r):<26} {r.title}; {r.reference}" for r in rows)]
@@ -129,17 +133,15 @@ def _run_lines(run: Run, made: Calibration | None, why: str) -> list[str]:
     return [*lines, *(f"  note: {flag}" for flag in made.flags)]
 
 
-def _unmet(plan: Plan, rows: list[Result]) -> list[str]:
-    """`expect: sensitivity` is judged on unit A, the axis that was driven."""
-    if "sensitivity" not in plan.expect:
-        return []
-    low, high = plan.expect["sensitivity"]
-    return [
-        f"expect sensitivity of {r.channel}: found {r.value * 9.80665e3:.2f} mV/g, "
-        f"wanted {low * 9.80665e3:.2f} to {high * 9.80665e3:.2f} mV/g"
-        for r in rows
-        if r.channel.startswith("unit_a") and r.value is not None and not low <= r.value <= high
-    ]
+def _unmet(plan: Plan, made: Calibration) -> Iterator[str]:
+    """Every expected sensitivity, named by its result, that was found outside its limits."""
+    for key, (low, high) in plan.expect.items():
+        found = made.find(key)
+        if found is not None and found.value is not None and not low <= found.value <= high:
+            yield (
+                f"expect sensitivity of {found.channel}: found {found.value * 9.80665e3:.2f} mV/g, "
+                f"wanted {low * 9.80665e3:.2f} to {high * 9.80665e3:.2f} mV/g"
+            )
 
 
 def plan_as_text(plan: Plan) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rig.archive.records import Records, poses_of, signals
+from rig.archive.records import Recorded, Records, experiments, poses_of, signals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +20,7 @@ COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro"
 
 def draw(records: Records, made: Calibration | None, folder: Path) -> list[Path]:
     """Every figure that the run's records, and what they were calibrated to, allow; the paths, in `folder`."""
-    drawn = [(name, figure) for name, make in _FIGURES.items() if (figure := make(records)) is not None]
+    drawn = [one for name, make in _FIGURES.items() for one in _of_every_experiment(records, name, make)]
     if made is not None and made.responses:
         drawn.insert(0, ("response", response(made, f"{records.header['title']}: response")))
     if drawn:
@@ -33,6 +33,15 @@ def draw(records: Records, made: Calibration | None, folder: Path) -> list[Path]
         figure.savefig(path, metadata={"Date": None})
         paths.append(path)
     return paths
+
+
+def _of_every_experiment(
+    records: Records, name: str, make: Callable[[Recorded], Figure | None]
+) -> Iterator[tuple[str, Figure]]:
+    """One kind of figure for each experiment of a run that allows it; the second of a kind is `rotation-2`."""
+    figures = [figure for one in experiments(records) if (figure := make(one)) is not None]
+    for number, figure in enumerate(figures, start=1):
+        yield (name if number == 1 else f"{name}-{number}"), figure
 
 
 def _new(rows: int, height: float, title: str) -> tuple[Figure, Any]:
@@ -99,13 +108,13 @@ def _plain_ticks(ax: Any) -> None:
     ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def rotation(records: Records) -> Figure | None:
-    """Gyro volts over a turntable run, phase by phase."""
+def rotation(records: Recorded) -> Figure | None:
+    """Volts of the gyros on the platter's axis over a turntable run, phase by phase."""
     bodies = [body for body in records.points.values() if "phase" in body]
     if not bodies:
         return None
     axis = bodies[0]["gyro_axis"]
-    figure, axes = _new(2, 5.5, f"{records.header['title']}: raw output of the gyros")
+    figure, axes = _new(2, 5.5, f"{records.header['title']}: raw output of the {axis} gyros")
     for ax, name in zip(axes, (f"gyro_{axis}", f"backup_{axis}"), strict=True):
         for body in bodies:
             samples = records.samples(body["samples"])
@@ -116,7 +125,7 @@ def rotation(records: Records) -> Figure | None:
     return figure
 
 
-def density(records: Records) -> Figure | None:
+def density(records: Recorded) -> Figure | None:
     """Noise density of the sensors at rest."""
     from scipy.signal import welch
 
@@ -149,7 +158,7 @@ def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
     return centre, [float(np.sqrt(power[place == k].mean())) * 1e6 for k in used]
 
 
-def poses(records: Records) -> Figure | None:
+def poses(records: Recorded) -> Figure | None:
     """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
     found = poses_of(records)
     if len(found) < 6:
@@ -177,7 +186,7 @@ def _thinned(x: Any, y: Any, most: int = 4000) -> tuple[Any, Any]:
     return x[:whole].reshape(-1, step).mean(axis=1), y[:whole].reshape(-1, step).mean(axis=1)
 
 
-_FIGURES: dict[str, Callable[[Records], Figure | None]] = {
+_FIGURES: dict[str, Callable[[Recorded], Figure | None]] = {
     "rotation": rotation,
     "noise": density,
     "poses": poses,

@@ -97,7 +97,7 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
             *_rest(settings, "after"),
         ),
         mistakes=tuple(mistakes),
-        expect={} if expect is None else {"sensitivity": expect.within},
+        expect={} if expect is None else {f"unit_a_{settings.axis}.sensitivity": expect.within},
     )
 
 

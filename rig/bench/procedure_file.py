@@ -135,9 +135,19 @@ def _plan(item: Any, facts: BenchFacts) -> Plan:
         settings=item.model_dump(mode="json"),
         steps=tuple(step for _, part in parts for step in part.steps),
         mistakes=tuple(Mistake((*path, *one.path), one.text) for path, part in parts for one in part.mistakes),
-        expect={name: limits for _, part in parts for name, limits in part.expect.items()},
+        expect=_expected([part for _, part in parts]),
         parts=tuple(_experiments([part for _, part in parts])),
     )
+
+
+def _expected(plans: Iterable[Plan]) -> dict[str, tuple[float, float]]:
+    """What all procedures together expect: of a result that several name, what every one of them allows."""
+    found: dict[str, tuple[float, float]] = {}
+    for one in plans:
+        for key, (low, high) in one.expect.items():
+            lowest, highest = found.get(key, (low, high))
+            found[key] = (max(low, lowest), min(high, highest))
+    return found
 
 
 def _experiments(plans: Iterable[Plan]) -> Iterator[Experiment]:

@@ -148,6 +148,7 @@ class Experiment:
 class Plan:
     """What will happen: steps in order, and what is expected of the result.
 
+    `expect` holds limits (SI) by the key of a result, such as `unit_a_x.sensitivity`.
     `parts` are the procedures of a sequence; prompts, waits and remounts between them belong to none.
     """
 

@@ -227,4 +227,4 @@ def test_a_frequency_beyond_the_converter_is_a_mistake(facts: BenchFacts) -> Non
 
 def test_expected_sensitivities_stand_in_the_plan_in_si(facts: BenchFacts) -> None:
     plan = expand(made(expect={"sensitivity": {"within": ("630 mV/g", "670 mV/g")}}), facts)
-    assert plan.expect["sensitivity"] == pytest.approx((0.63 / G, 0.67 / G))
+    assert plan.expect["unit_a_x.sensitivity"] == pytest.approx((0.63 / G, 0.67 / G))

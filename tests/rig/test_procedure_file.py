@@ -74,7 +74,7 @@ def test_expectations_of_a_sweep_inside_a_sequence_are_kept() -> None:
         "steps:\n  - procedure: frequency_sweep\n    points: 1\n"
         "    expect: {sensitivity: {within: [630 mV/g, 670 mV/g]}}\n"
     )
-    assert made.expect["sensitivity"] == pytest.approx((0.63 / 9.80665, 0.67 / 9.80665))
+    assert made.expect["unit_a_x.sensitivity"] == pytest.approx((0.63 / 9.80665, 0.67 / 9.80665))
 
 
 def test_the_same_file_gives_the_same_steps_every_time() -> None:

@@ -19,7 +19,7 @@ LONG = 50  # lines
 # From the top; each imports only what stands below it, and what stands side by side does not know each other.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("cli",), ("foreign.guessing", "notebook"), ("repair",), ("certificate", "export", "report"), ("calibrate",),
-    ("diagnose",), ("figures",), ("fit",), ("parts",), ("bench", "foreign"), ("shelf", "formula"), ("own_effects", "effects"),,
+    ("diagnose",), ("figures",), ("fit",), ("parts",), ("bench", "foreign"), ("shelf", "formula"), ("own_effects", "effects"),
     ("model",), ("motion",), ("archive",), ("signals",), ("record", "room", "sensor", "printed"), ("yaml",), ("units", "dimensions"),
     ("errors",),
 )  # fmt: skip

@@ -101,7 +101,7 @@ def run(file: Path, **options: Any) -> None:
 @runs_option
 @json_option
 def resume(name: str, **options: Any) -> None:
-    """Check the instruments, repeat the last point, and go on with the rest."""
+    """Check the instruments, repeat what cables and mounting still permit, and go on with the rest."""
     from rig.archive.runs import Runs
     from rig.bench import runner
 

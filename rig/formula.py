@@ -391,9 +391,18 @@ class _Dimensions:
         return inner if name == "abs" else Dimension()
 
 
+def meets(text: str) -> bool:
+    """Whether there is a place where all signals of a formula exist: the shaker's and the platter's never meet."""
+    return bool(_together(parse(text), EVERYWHERE))
+
+
+def _together(formula: Formula, places: Sequence[str]) -> tuple[str, ...]:
+    """Those of the places where all signals of the formula exist."""
+    return tuple(p for p in places if all(p in ONLY_AT.get(name, (p,)) for name in formula.signals))
+
+
 def _narrowed(formula: Formula, places: Sequence[str]) -> tuple[str, ...]:
-    """Places where all signals of the formula exist."""
-    found = tuple(p for p in places if all(p in ONLY_AT.get(name, (p,)) for name in formula.signals))
+    found = _together(formula, places)
     if not found:
         column = next(_column(one) for one in _names(formula.tree) if places[0] not in ONLY_AT.get(one.id, places))
         raise _wrong(column, f"signals that no place of {_list(places)} has together", "signals of one place")

@@ -22,7 +22,7 @@ from rig.fit import adequacy
 from rig.fit.adequacy import Group
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
-from rig.formula import formula_effect, parse, term_of
+from rig.formula import formula_effect, meets, parse, term_of
 from rig.model import Quantity, Term
 from rig.motion import Array
 from rig.parts.part import Part
@@ -193,9 +193,9 @@ def _quantities(rates: set[bool]) -> list[Quantity]:
 
 
 def _scored(fit: Fit, shapes: Sequence[tuple[str, ...]], on: Quantity, only: tuple[str, ...]) -> list[_Tried]:
-    terms = [_term(one, on, only) for one in shapes]
-    scores = search.scores(fit, terms)
-    by_effect = {term.effect: one for term, one in zip(terms, shapes, strict=True)}
+    made = {one: _term(one, on, only) for one in shapes if meets(_text(one))}
+    scores = search.scores(fit, made.values())
+    by_effect = {term.effect: one for one, term in made.items()}
     return [_Tried(by_effect[score.term.effect], on, only, score) for score in scores]
 
 

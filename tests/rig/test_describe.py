@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,10 +13,11 @@ import pytest
 from fixtures import channels as cabling
 from fixtures.imperfections import SHELF, Array, Imperfection
 from fixtures.motion import Motion as TrueMotion
-from rig.diagnose.describe import Description, describe
+from rig.diagnose.describe import Description, describe, library
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
-from rig.formula import formula_effect, term_of
+from rig.formula import formula_effect, meets, term_of
+from rig.model import BOTH
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}
 TURNS = {"procedure": "turntable", "revolutions": 10, "rest": "30 s", "all": True}
@@ -115,3 +117,33 @@ def test_where_nothing_is_missing_nothing_is_described() -> None:
     assert found.domains == ()
     assert found.words[0] == "Nothing stands out of the noise."
     assert found.formula == ""
+
+
+def test_every_shape_of_the_library_and_every_pair_that_can_meet_is_a_formula() -> None:
+    shapes = library(frozenset({"shaker", "turntable"}))
+    waves = [one for one in shapes if "theta" in one][:4]
+    few = [one for one in shapes if "theta" not in one] + waves
+    pairs = [pair for pair in itertools.combinations(few, 2) if not all("{tau}" in one for one in pair)]
+    for on in BOTH:
+        for one in [(shape,) for shape in shapes] + pairs:
+            text = " + ".join(f"k{n}*{shape.format(tau='tau')}" for n, shape in enumerate(one))
+            starts = {"tau": (20.0,)} if "tau" in text else {}
+            if meets(text):
+                assert formula_effect("tried", text, on=on, starts=starts).places
+
+
+def test_what_only_the_platter_knows_and_what_only_the_shaker_knows_do_not_meet() -> None:
+    assert not meets("k1*omega + k2*f")
+    assert not meets("k1*sin(3*theta) + k2*V")
+    assert meets("k1*omega + k2*sin(3*theta)")
+    assert meets("k1*u**2 + k2*f")
+
+
+def test_a_line_that_is_no_motion_s_is_described_over_sweep_and_turntable_together() -> None:
+    line = {"name": "spur", "parameters": {"quantity": "rate", "amplitude": 0.007, "frequency": 6.847}}
+    world = fast_bench.world(4242, [line])
+    runs = [fast_bench.measure(one, world) for one in ({**SWEEP, "points": 6}, TURNS)]
+    evidence = evidence_of(runs)
+    found = describe(evidence, evidence.fitted())
+    assert found.channels[0].startswith(("gyro", "backup"))
+    assert found.formula == "" or meets(found.formula)

@@ -31,7 +31,7 @@ from rig.archive.records import Signals
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
-from rig.errors import ConfigError, OperatorRefused
+from rig.errors import ConfigError, OperatorRefused, SettingRefused
 from rig.record import Channel, Identity, Response, Samples, Timing, Traces
 from rig.room import Confirmation, Request, Room
 from rig.yaml import document as documents
@@ -45,6 +45,7 @@ LUMP = 0.05  # s until a conversion is handed over
 SERIAL, GPIB, BOARD = 0.020, 0.020, 0.005  # s of an exchange with the vibrometer, on the bus, with the service
 DECODER_SETTLES = 2.2  # s after a change of the vibrometer's range
 SCOPE_POINTS = 1024
+HIGHEST_RANGE = 28.0  # dBm, of the analyzer's inputs
 
 
 class WorldClock:
@@ -247,7 +248,15 @@ class Analyzer:
         self._world.advance(GPIB)
 
     def set_range(self, channel: int, volts: float) -> float:
-        self._ranges[channel] = max(-30.0, 2.0 * math.ceil(5.0 * math.log10(volts**2 / 0.1) - 1e-9))
+        """Raises SettingRefused if no range holds it."""
+        dbm = max(-30.0, 2.0 * math.ceil(5.0 * math.log10(volts**2 / 0.1) - 1e-9))
+        if dbm > HIGHEST_RANGE:
+            raise SettingRefused("analyzer", "in memory", wanted=f"at most {HIGHEST_RANGE:g} dBm, found {dbm:g}")
+        self._ranges[channel] = dbm
+        return self._full(channel)
+
+    def _full(self, channel: int) -> float:
+        """Range of an input, V peak."""
         return math.sqrt(0.1 * 10.0 ** (self._ranges[channel] / 10.0))
 
     def set_sine(self, frequency: float, amplitude: float) -> None:
@@ -274,7 +283,8 @@ class Analyzer:
         found.add(np.array(volts).reshape(2, self._averages, count).transpose(1, 0, 2))
         lines = np.linspace(0.0, self._span, self._points)
         ratio, coherence = found.response()[: self._points], found.coherence()[: self._points].real
-        return Response(lines, ratio, coherence, self._averages, ())
+        over = [f"input {k}" for k, one in enumerate(volts, 1) if float(np.abs(one).max()) > self._full(k)]
+        return Response(lines, ratio, coherence, self._averages, tuple(over))
 
     def overloads(self) -> tuple[str, ...]:
         return ()

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.bench.station import Station
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
-from rig.errors import SignalLow, SignalOverload, VerdictNotMet
+from rig.errors import BadInput, SettingRefused, SignalLow, SignalOverload, VerdictNotMet
 from rig.record import CubeSamples, Response, Samples, Traces
 from rig.signals import tone
 
@@ -24,6 +25,11 @@ ANALYZER_POINTS = 401  # 2.5 Hz apart, records of 0.4 s
 ANALYZER_AVERAGES = 2
 SCOPE_RECORD = 0.5  # s, ten divisions
 SENSOR_REST = 1.65  # V; half the supply of a 2 g unit
+CLOCK_OFF = 5e-3  # relative: more than any clock that runs
+BESIDE = 2.0  # cycles over a record that a tone is looked for beside its nominal frequency
+ON_FREQUENCY = 0.05  # cycles: less costs no more than 0.4 % of the amplitude
+INPUTS = ("input 1", "input 2")
+WIDER = 1.1  # of a range, for the next one: they are 2 dB apart
 SENSOR_INPUT = 4.0  # V; half the supply plus the signal of a 2 g unit, DC coupled
 
 
@@ -41,7 +47,7 @@ def prepare(station: Station) -> None:
     """Put the analyzer into its two-channel state and the converter at its rate; nothing is energised."""
     station.analyzer.preset()
     station.analyzer.configure(span=ANALYZER_SPAN, points=ANALYZER_POINTS, averages=ANALYZER_AVERAGES)
-    station.analyzer.set_range(2, SENSOR_INPUT)
+    station.sensor_range = station.analyzer.set_range(2, SENSOR_INPUT)
     if station.keeps("scope"):
         sensor = (4.0, SENSOR_REST)
         station.scope.configure(duration=SCOPE_RECORD, ranges=[(20.0, 0.0), sensor, sensor, sensor])
@@ -92,16 +98,12 @@ def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
     velocity = step.acceleration / (2.0 * math.pi * step.frequency)
     with station.watch("instruments"):
         scale = station.vibrometer.set_range_for(1.3 * velocity)
-        station.analyzer.set_range(1, 1.2 * velocity / scale)  # at most 7.4 V of the 7.9 V that input 1 takes
         _move(station, step.frequency, amplitude)
         station.room.clock.sleep(step.settle)
         station.vibrometer.check(require=False)  # the over-range latch may hold what the change of drive did
         before = _trusted(station)
-        captured = _acquire(step, station)
+        captured = _in_range(step, station, 1.2 * velocity / scale)  # at most 7.4 V of the 7.9 V that input 1 takes
         after = _trusted(station)
-    if captured.response is not None and captured.response.overloads:
-        found = ", ".join(captured.response.overloads)
-        raise SignalOverload("analyzer", step.label, wanted="inputs in range", received=found)
     with station.watch("analysis"):
         volts = _reference_volts(step, captured)
     return {
@@ -136,6 +138,41 @@ def _move(station: Station, frequency: float, amplitude: float) -> None:
     drive.frequency, drive.amplitude, drive.on = frequency, amplitude, True
 
 
+def _in_range(step: Sine, station: Station, reference: float) -> Captured:
+    """The point with all inputs of the analyzer in range, input 1 first in the one for `reference` (V).
+
+    An input that is overloaded gets its next wider range and everything is recorded again: the analyzer's own autorange
+    steps up in the same way, but only while nothing is measured. The sensor's input keeps the range that it needed.
+    Raises SignalOverload if no range is wide enough.
+    """
+    ranges = {1: station.analyzer.set_range(1, reference), 2: station.sensor_range}
+    while True:
+        captured = _acquire(step, station)
+        overloads = () if captured.response is None else captured.response.overloads
+        if not overloads:
+            station.sensor_range = ranges[2]
+            return captured
+        station.journal.note("overload", label=step.label, overloads=list(overloads), ranges=list(ranges.values()))
+        for channel in ranges:
+            if f"input {channel}" in overloads:
+                ranges[channel] = _wider(step, station, channel, ranges[channel])
+        if any(name not in INPUTS for name in overloads):  # a relay that tripped is for a person to look at
+            raise _overloaded(step, overloads)
+
+
+def _wider(step: Sine, station: Station, channel: int, volts: float) -> float:
+    """The next range of an input above this one, V peak."""
+    try:
+        return station.analyzer.set_range(channel, WIDER * volts)
+    except SettingRefused as refused:
+        raise _overloaded(step, (f"input {channel}",), f" of {volts:.3g} V, the widest") from refused
+
+
+def _overloaded(step: Sine, overloads: Sequence[str], widest: str = "") -> SignalOverload:
+    found = f"{', '.join(overloads)} over range{widest}"
+    return SignalOverload("analyzer", step.label, wanted="inputs in range", received=found)
+
+
 def _acquire(step: Sine, station: Station) -> Captured:
     """Every recorder that keeps data looks at the same stretch of motion; the oscilloscope at the stretch after it."""
     samples = response = cube = None
@@ -166,12 +203,28 @@ def _reference_volts(step: Sine, captured: Captured) -> float:
     """Amplitude of the reference channel at the driven frequency, V."""
     samples, traces = captured.samples, captured.traces
     if samples is not None:
-        fitted = tone.fit_three(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
-    elif traces is not None:
-        fitted = tone.fit_three(traces.instants(), traces.volts[traces.names.index("ldv")], step.frequency)
-    else:
-        raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
-    return abs(fitted.amplitude)
+        return _amplitude(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
+    if traces is not None:
+        return _amplitude(traces.instants(), traces.volts[traces.names.index("ldv")], step.frequency)
+    raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
+
+
+def _amplitude(instants: NDArray[np.float64], volts: NDArray[np.float64], frequency: float) -> float:
+    """Peak value of a tone that lies beside its nominal frequency if the recorder's clock is off, V.
+
+    A sine fitted half a cycle beside the tone shows two thirds of it: the level would be driven up, past the limits.
+    """
+    span = float(np.ptp(instants))
+    most = min(BESIDE, CLOCK_OFF * frequency * span)
+    aside = [frequency + share / span for share in np.arange(-BESIDE, BESIDE + 0.1, 0.25) if abs(share) <= most]
+    near = max((tone.fit_three(instants, volts, f) for f in aside), key=lambda one: one.magnitude)
+    try:
+        free = tone.fit_four(instants, volts, near.frequency)
+    except BadInput:  # no tone that stands above the noise
+        return near.magnitude
+    if abs(free.frequency - frequency) * span < ON_FREQUENCY:
+        return tone.fit_three(instants, volts, frequency).magnitude
+    return free.magnitude
 
 
 def _stored(step: Sine, station: Station, captured: Captured) -> dict[str, Any]:

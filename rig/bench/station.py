@@ -85,6 +85,7 @@ class Station:
     cables: str = "shaker"
     wired: tuple[str, ...] = ()  # channels that the converter was last configured for
     step: str = ""  # number of the step, the first part of its blocks' names
+    sensor_range: float = 0.0  # V peak, of the analyzer's input 2
 
     @property
     def analyzer(self) -> Analyzer:

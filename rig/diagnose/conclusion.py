@@ -23,6 +23,7 @@ from rig.fit.fit import POLE_TOLERANCE, Fit
 from rig.fit.parameters import Estimate, covariance_of, estimates, independent, plausible
 from rig.fit.quality import error_at, error_of, heldout_error, worst_of
 from rig.model import Effect, Quantity, Term
+from rig.motion import Array
 
 OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
 OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
@@ -128,7 +129,7 @@ def conclude(
     base = evidence.fitted(terms, poles=poles, shared=shared)
     if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a part of every channel would explain
         return concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=poles, shared=shared), shelf)
-    first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base)
+    first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base, found.diagnosis.final)
     rest = [replace(one, step=one.step + 1) for one in found.candidates]
     candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
     at, worst = worst_of(base)
@@ -139,35 +140,35 @@ def conclude(
     )  # fmt: skip
 
 
-def _output_filter(evidence: Evidence, found: Fit) -> Candidate:
-    """The output filter of every channel, with the corners that this data determines."""
-    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+def _output_filter(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
+    """The output filter of every channel, with the corners of the final fit that this data determines."""
+    u = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     poles = {}
-    for number, part in enumerate(found.parts):
-        own, local = found.layout.own(part, number)[:, 1], found.state.local(part, number)
+    for number, part in enumerate(final.parts):
+        own, local = final.layout.own(part, number)[:, 1], final.state.local(part, number)
         for name, at, pole in zip(part.channels.names, own, local.pole, strict=True):
             if u[at] < DETERMINED * POLE_TOLERANCE:
                 poles[f"corner {name}"] = Estimate(float(pole), "Hz", float(pole * u[at]))
     return Candidate(
         effect=OUTPUT_FILTER, title="output filter of every channel", on=None, members=(OUTPUT_FILTER,),
-        probability=1.0, error_after=error_of(found), heldout_error_after=heldout_error(evidence, found),
+        probability=1.0, error_after=error_of(base), heldout_error_after=heldout_error(evidence, base),
         parameters=poles, plausible=True,
         because="gain falls and phase lags with frequency as one pole per channel, at the corner of its data sheet",
         separate_by="a sweep past the corner: one pole falls by 20 dB per decade", step=1, taken=True,
     )  # fmt: skip
 
 
-def _own_sensitivity(evidence: Evidence, found: Fit) -> Candidate:
+def _own_sensitivity(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
     """A sensitivity of its own for every channel, relative to that of its data sheet."""
-    u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    u = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     gains = {}
-    for number, part in enumerate(found.parts):
-        own = found.layout.own(part, number)[:, 0]
+    for number, part in enumerate(final.parts):
+        own = final.layout.own(part, number)[:, 0]
         for name, at in zip(part.channels.names, own, strict=True):
-            gains[f"sensitivity {name}"] = Estimate(1.0 + found.state.gain[name], "1", float(u[at]))
+            gains[f"sensitivity {name}"] = Estimate(1.0 + final.state.gain[name], "1", float(u[at]))
     return Candidate(
         effect=OWN_SENSITIVITY, title="a sensitivity of its own for every channel", on=None, members=(OWN_SENSITIVITY,),
-        probability=1.0, error_after=error_of(found), heldout_error_after=heldout_error(evidence, found),
+        probability=1.0, error_after=error_of(base), heldout_error_after=heldout_error(evidence, base),
         parameters=gains, plausible=True,
         because="the error is in proportion to the input, with another factor in every channel",
         separate_by="the same input along each axis in turn", step=1, taken=True,
@@ -224,10 +225,7 @@ def _candidate(
 ) -> Candidate:
     is_taken = choice is step.taken
     fit = step.after if is_taken or choice.fit is None else choice.fit
-    term = fit.state.terms[-1] if fit.state.terms else choice.term
-    term = choice.term if term.effect.name != choice.name or choice.term.effect.looks_in else term
-    by_test = bool(choice.term.effect.looks_in)
-    covariance = independent(term, choice.u) if by_test else covariance_of(fit, len(fit.state.terms) - 1)
+    term, covariance = _where_it_stands(choice, choice.whole or fit)
     return Candidate(
         effect=choice.name,
         title=term.effect.title,
@@ -243,6 +241,14 @@ def _candidate(
         step=number,
         taken=is_taken,
     )
+
+
+def _where_it_stands(choice: Choice, fit: Fit) -> tuple[Term, Array]:
+    """The effect with the coordinates that a fit has found, and their covariance; those of a test of its own stay."""
+    places = [n for n, term in enumerate(fit.state.terms) if not term.prior and term.key == choice.term.key]
+    if choice.term.effect.looks_in or not places:
+        return choice.term, independent(choice.term, choice.u)
+    return fit.state.terms[places[0]], covariance_of(fit, places[0])
 
 
 def _probability(diagnosis: Diagnosis, choice: Choice) -> float:

@@ -50,6 +50,7 @@ class Choice:
     probability: float
     because: str
     fit: Fit | None = field(default=None, repr=False)
+    whole: Fit | None = field(default=None, repr=False)  # beside all other steps' effects, where that is another fit
 
     @property
     def name(self) -> str:
@@ -112,7 +113,8 @@ def diagnose(
         steps, current = _exchanged(steps, base, current, shelf, memory)
     if steps and not adequacy.adequate(current):
         steps, current = _paired(steps, base, current, shelf, memory)
-    steps, current = _pruned(steps, current)
+    steps, current = _pruned(steps, base, current)
+    steps = _together(steps, base, current)
     return _concluded(base, current, steps, first_scores, misplaced, evidence.imported)
 
 
@@ -286,8 +288,9 @@ def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS) -> list[
     return sorted(made, key=lambda one: -one.merit)
 
 
-def _pruned(steps: list[Step], current: Fit) -> tuple[list[Step], Fit]:
+def _pruned(steps: list[Step], base: Fit, current: Fit) -> tuple[list[Step], Fit]:
     """Without steps that the later ones have made needless."""
+    before = len(steps)
     for place in range(len(steps) - 2, -1, -1):
         step = steps[place]
         if step.taken.term.effect.looks_in:
@@ -297,7 +300,37 @@ def _pruned(steps: list[Step], current: Fit) -> tuple[list[Step], Fit]:
         if without.objective - current.objective < CHANCE:
             steps = [one for one in steps if one is not step]
             current = without
-    return steps, current
+    return steps if len(steps) == before else _rebuilt(base, steps), current
+
+
+def _together(steps: Sequence[Step], base: Fit, final: Fit) -> list[Step]:
+    """Every step's effect as the final fit has it, and its rivals as a fit beside all other steps' effects has them.
+
+    What a step found alone has taken on some of what later steps explain.
+    """
+    if len(steps) == 1 and steps[0].after is final:
+        return list(steps)
+    return [
+        _beside(step, [_at(final, other.taken.term) for other in steps if other is not step], base, final)
+        for step in steps
+    ]
+
+
+def _beside(step: Step, others: Sequence[Term], base: Fit, final: Fit) -> Step:
+    made = {}
+    for one in step.members:
+        taken = one is step.taken
+        made[id(one)] = _as_in(final if taken else _with_terms(base, [*others, one.term]), one)
+    again = tuple(made.get(id(one), one) for one in step.others)
+    return replace(step, taken=made[id(step.taken)], members=tuple(made[id(one)] for one in step.members), others=again)
+
+
+def _as_in(whole: Fit, choice: Choice) -> Choice:
+    """A choice with the coordinates and uncertainties that a fit has found; those of a test of its own stay."""
+    places = [n for n, term in enumerate(whole.state.terms) if not term.prior and term.key == choice.term.key]
+    if choice.term.effect.looks_in or not places:
+        return choice
+    return replace(choice, term=whole.state.terms[places[0]], u=whole.u(places[0]), whole=whole)
 
 
 def _concluded(

@@ -19,6 +19,10 @@ from rig.repair.repair import Bench
 from rig.shelf import shelf
 
 CUBIC = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
+TWO = (
+    {"name": "asymmetry", "parameters": {"quantity": "acceleration"}},
+    {"name": "quadratic", "parameters": {"quantity": "acceleration", "coefficient": 1e-3}},
+)
 LEVELLED = ("cubic", "odd_quadratic", "saturation", "asymmetry", "quadratic", "dead_zone", "hysteresis")
 
 
@@ -28,6 +32,16 @@ def sweep(hidden: bool) -> Bench:
     return repair.bench_of(
         [fast_bench.measure({"procedure": "frequency_sweep", "axis": "x", "points": 8}, world)], shelf()
     )
+
+
+@lru_cache(maxsize=1)
+def two() -> tuple[Bench, Conclusion]:
+    """A sweep with two effects that look alike, and what a diagnosis says of it."""
+    records = fast_bench.measure(
+        {"procedure": "frequency_sweep", "axis": "x", "points": 8}, fast_bench.world(5, list(TWO))
+    )
+    bench = repair.bench_of([records], shelf())
+    return bench, conclude(bench.evidence, [], shelf())
 
 
 @lru_cache(maxsize=1)
@@ -50,6 +64,42 @@ def test_naming_the_missing_effect_brings_the_worst_error_down_to_the_noise() ->
     assert said.taken[0].effect == "cubic"
     assert said.worst > 3.0
     assert said.worst_after < 1.5
+
+
+def test_of_two_effects_the_first_has_the_size_that_it_has_beside_the_second() -> None:
+    _, said = two()
+    assert [one.effect for one in said.taken] == ["quadratic", "asymmetry"]
+    found = said.taken[0].parameters["coefficient"]
+    assert found.u is not None
+    assert abs(found.value - 1e-3) < 3.0 * found.u  # alone it would be a third larger, and said to be known to 1 %
+    final = {term.effect.name: term.at for term in said.diagnosis.final.state.terms if not term.prior}
+    for one in said.taken:
+        assert {name: value.value for name, value in one.parameters.items()} == pytest.approx(final[one.effect])
+    written = said.candidates[0].as_json()["parameters"]["coefficient"]
+    assert written == {"value": found.value, "unit": "1/(m/s²)", "u": found.u}
+
+
+def test_a_model_with_both_effects_keeps_what_the_diagnosis_said_of_each() -> None:
+    bench, said = two()
+    model = repair.new(bench, "datasheet")
+    for one in said.taken:
+        model = repair.added(bench, model, one.effect, one.on).model
+    kept = {entry.effect: entry.parameters for entry in model.effects}
+    for one in said.taken:
+        for name, value in one.parameters.items():
+            assert value.u is not None
+            assert kept[one.effect][name].value == pytest.approx(value.value, abs=0.05 * value.u)
+            assert kept[one.effect][name].u == pytest.approx(value.u, rel=0.05)
+
+
+def test_the_corners_of_the_output_filter_are_those_beside_what_else_is_missing() -> None:
+    bench = sweep(True)
+    said = conclude(bench.evidence, [], shelf(), poles=False)
+    assert [one.effect for one in said.taken] == [OUTPUT_FILTER, "cubic"]
+    corner = said.taken[0].parameters["corner unit_a_x"].value
+    final = said.diagnosis.final
+    number = final.parts[0].channels.names.index("unit_a_x")
+    assert corner == pytest.approx(float(final.state.local(final.parts[0], 0).pole[number]))
 
 
 def test_what_no_shelf_has_is_unlisted_and_its_nearest_is_never_called_likely() -> None:

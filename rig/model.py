@@ -34,7 +34,7 @@ EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
 
 __all__ = [
     "BOTH", "EVERYWHERE", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion",
-    "Parameter", "Periods", "Quantity", "Stage", "Stretches", "Term", "Values", "volts",
+    "Parameter", "Periods", "Quantity", "Stage", "Stretches", "Term", "Values", "at_work", "volts",
 ]  # fmt: skip
 
 
@@ -132,6 +132,7 @@ class Effect:
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
+    parts: ClassVar[frozenset[str]] = frozenset()  # empty: all at its places; else of the reference of these alone
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:
         """Units of the parameters for channels of one quantity; `SI` in a unit stands for that quantity's."""
@@ -219,6 +220,11 @@ class Term:
     def moved(self, **at: float) -> Term:
         """The same at other coordinates."""
         return replace(self, at={**self.at, **at})
+
+
+def at_work(terms: Sequence[Term], place: str, part: str) -> list[Term]:
+    """Terms that act in a part: at its place, and on its own reference."""
+    return [t for t in terms if place in t.effect.places and (not t.effect.parts or part in t.effect.parts)]
 
 
 def volts(

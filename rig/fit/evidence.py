@@ -17,6 +17,7 @@ from rig.parts.part import Part, Tabled
 from rig.parts.reading.imported import parts_of
 from rig.parts.reading.sweep import shaken
 from rig.parts.reading.turntable import spun
+from rig.parts.reference_gain import shared
 from rig.parts.sines import Sines
 from rig.parts.turning import Turning
 
@@ -75,7 +76,7 @@ def evidence_of(runs: Sequence[Recorded]) -> Evidence:
         names = ", ".join(run.name for run in runs)
         raise BadInput(f"{names}: found no sines and no turning platter, wanted a sweep or a turntable run")
     done = [one for run in own for one in experiments(run)]
-    known: list[Term] = [term for _, terms in imported for term in terms]
+    known = shared([term for _, terms in imported for term in terms])
     if sines:
         known += nuisances.of_shaker([one for one in done if any("frequency" in b for b in one.points.values())])
     if turnings:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Local, Term
+from rig.model import Local, Term, at_work
 from rig.motion import Array
 from rig.parts.part import STEP, Indices, Joint, Part
 
@@ -389,7 +389,7 @@ def term_columns(
     `base` is the prediction at the term's own coordinates, if it is known. Only the channels concerned are worked out.
     """
     names = fitted(term)
-    if part.place not in term.effect.places or not len(part.channels.of(term.on)):
+    if not at_work([term], part.place, part.name) or not len(part.channels.of(term.on)):
         return np.zeros((part.rows, len(names)))
     if base is None:
         base = part.raw(local, [*others, term])

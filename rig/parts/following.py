@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Effect, Local, Term, volts
+from rig.model import Channels, Effect, Local, Term, at_work, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts.part import Cut, Mask, Tabled
 from rig.parts.sines import REMEMBERED, reference_key
@@ -148,7 +148,7 @@ class Following(Tabled):
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
         """Predicted outputs of every channel (or of some), (c, n)."""
-        terms = [term for term in terms if self.place in term.effect.places]
+        terms = at_work(terms, self.place, self.name)
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)

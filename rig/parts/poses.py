@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Channels, Local, Term, volts
+from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import Array, Motion, Response
 from rig.parts.part import STEP, Cut, Mask, Tabled
 
@@ -159,7 +159,7 @@ class Posed(Tabled):
         return np.asarray(self.counted.reshape(-1, self.width) / np.sqrt(np.concatenate([*first, rows])))
 
     def _here(self, terms: Sequence[Term]) -> list[Term]:
-        return [term for term in terms if self.place in term.effect.places]
+        return at_work(terms, self.place, self.name)
 
     def _volts(self, force: Array, local: Local, terms: Sequence[Term]) -> Array:
         return np.asarray(volts(self._motion(force), self.channels, local, terms), np.float64)

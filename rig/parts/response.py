@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rig.errors import BadInput
 from rig.foreign.manifest import Column
 from rig.foreign.tables import Foreign, Table
-from rig.model import Channels, Local, Term, volts
+from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts.part import Cut, Mask, Tabled
 
@@ -147,7 +147,7 @@ class Responding(Tabled):
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
         """Logarithm of the predicted ratio, (1, p)."""
-        terms = [term for term in terms if self.place in term.effect.places]
+        terms = at_work(terms, self.place, self.name)
         shown = self.reference
         along = shown.along
         for term in terms:

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Local, Term, volts
+from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.signals.noise import NoiseModel
 
@@ -140,7 +140,7 @@ class Sines:
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
         """Predicted lines of every channel (or of some), V, (c, p, LINES)."""
-        terms = [term for term in terms if self.place in term.effect.places]
+        terms = at_work(terms, self.place, self.name)
         channels, before = self.channels, self.data.before[..., :ORDERS]
         if only is not None:
             channels, local, before = channels.only(only), local.only(only), before[only]

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Effect, Local, Term, volts
+from rig.model import Channels, Effect, Local, Term, at_work, volts
 from rig.motion import Array, Motion, Stretches
 from rig.parts.sines import REMEMBERED, reference_key
 from rig.signals.noise import NoiseModel
@@ -127,7 +127,7 @@ class Turning:
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
         """Predicted window means of every channel (or of some), V, (c, n)."""
-        terms = [term for term in terms if self.place in term.effect.places]
+        terms = at_work(terms, self.place, self.name)
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)

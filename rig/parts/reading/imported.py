@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TypeVar
+
 from rig.errors import BadInput
 from rig.foreign.tables import Foreign
 from rig.model import Term
 from rig.parts import nuisances
-from rig.parts.following import Following
+from rig.parts.following import Following, FollowRecords
 from rig.parts.part import Part
 from rig.parts.poses import Posed
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.motion import motions, rotations
 from rig.parts.reading.poses import posed
-from rig.parts.response import Responding, responses
-from rig.parts.sines import Sines
+from rig.parts.reference_gain import channels_beside, gains_of
+from rig.parts.response import Responding, ResponseTable, responses
+from rig.parts.sines import SineRecords, Sines
+
+D = TypeVar("D", ResponseTable, FollowRecords, SineRecords)
 
 
 def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
@@ -21,20 +27,30 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
 
     Raises BadInput for data of a kind that no model can be compared with.
     """
+    parts, known = _read(foreign)
+    return parts, [*known, *gains_of(foreign, [part.name for part in parts])]
+
+
+def _read(foreign: Foreign) -> tuple[list[Part], list[Term]]:
     match foreign.manifest.kind:
         case "response":
-            return [Responding(data) for data in responses(foreign)], []
+            return [Responding(_beside(foreign, data)) for data in responses(foreign)], []
         case "rotation":
-            turned = rotations(foreign)
+            turned = _beside(foreign, rotations(foreign))
             lies = not turned.upright and not turned.channels.rates.all()
             known = nuisances.of_track(max(turned.bands))
             return [Following(turned)], [*known, *(nuisances.of_rotation(turned.axis) if lies else [])]
         case "motion":
-            moved = motions(foreign)
+            moved = _beside(foreign, motions(foreign))
             return [Following(moved)], nuisances.of_track(max(moved.bands))
         case "sweep":
-            return [Sines(data) for data in sweeps(foreign)], []
+            return [Sines(_beside(foreign, data)) for data in sweeps(foreign)], []
         case "poses":
             return [Posed(data) for data in posed(foreign)], []
         case kind:
             raise BadInput(f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: rig show)")
+
+
+def _beside(foreign: Foreign, data: D) -> D:
+    """Records whose channels' tolerances say nothing of a reference that is not well known itself."""
+    return replace(data, channels=channels_beside(foreign, data.channels))

@@ -46,6 +46,9 @@ ONLY_AT: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"omega": ("turntable",), "alpha": ("turntable",), "theta": ("turntable", "rotation"), "f": ("shaker",),
      "A": ("shaker",), "V": ("shaker",)}
 )  # fmt: skip
+LOGGED: Mapping[str, str] = MappingProxyType(
+    {"T": "temperature", "Vs": "supply", "V": "source"}
+)  # as effects need them
 FUNCTIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     {"sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
      "sign": np.sign}
@@ -145,6 +148,7 @@ def formula_effect(
         "coordinates": _coordinates(formula, starts),
         "parameters": tuple(Parameter(c, found[c], _ANYTHING, _ANYTHING) for c in formula.coefficients),
         "kinked": formula.kinked,
+        "needs": tuple(LOGGED[name] for name in formula.signals if name in LOGGED),
         "name": name,
         "formula": formula,
         "only": channels,

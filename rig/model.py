@@ -131,6 +131,7 @@ class Effect:
     kinked: ClassVar[bool] = False  # a characteristic that is not smooth
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"
+    needs: ClassVar[tuple[str, ...]] = ()  # signals that a record must hold for it: temperature, supply, source
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
     parts: ClassVar[frozenset[str]] = frozenset()  # empty: all at its places; else of the reference of these alone
 

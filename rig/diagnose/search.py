@@ -63,6 +63,7 @@ class Candidate:
 def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
     """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
     places = {part.place for part in found.parts}
+    held = {place: {name for part in found.parts if part.place == place for name in part.logged} for place in places}
     rates = {bool(r) for part in found.parts for r in part.channels.rates}
     there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
     result = []
@@ -71,6 +72,8 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> lis
             continue
         if effect.looks_in != looks_in or effect.absorbed or not places.intersection(effect.places):
             continue
+        if not any(held[place].issuperset(effect.needs) for place in places.intersection(effect.places)):
+            continue  # what nobody logged cannot be found to be the cause
         quantities: Iterable[Quantity | None] = effect.quantities or (None,)
         for on in quantities:
             if (on is None or (on == "rate") in rates) and (effect.name, on) not in there:

@@ -16,6 +16,7 @@ from rig.model import Effect
 
 TESTED = ("closure", "dropouts", "clock")  # effects with a test of their own that looks for them
 MOVING = 0.5  # rad/s
+LOGGED = {"temperature": "the temperature", "supply": "the supply", "source": "the drive's voltage"}
 
 
 def cannot_see(
@@ -26,9 +27,15 @@ def cannot_see(
     Of imported records alone nothing is said about this bench's own experiments.
     """
     if evidence.imported:
-        return tuple(dict.fromkeys([*misplaced, *evidence.blind, *_within(scores)]))
+        return tuple(dict.fromkeys([*misplaced, *evidence.blind, *_unlogged(evidence, shelf), *_within(scores)]))
     said = [*misplaced, *_conditions(evidence), *_hidden(evidence, scores), *_elsewhere(evidence, shelf)]
-    said += [*_absorbed(evidence, shelf), *_untested(shelf), *evidence.blind, *evidence.notes]
+    said += [
+        *_unlogged(evidence, shelf),
+        *_absorbed(evidence, shelf),
+        *_untested(shelf),
+        *evidence.blind,
+        *evidence.notes,
+    ]
     return tuple(dict.fromkeys(said))
 
 
@@ -37,6 +44,17 @@ def _within(scores: Iterable[Score]) -> Iterator[str]:
     names = sorted({score.start.key for score in scores if score.visible < HIDDEN})
     if names:
         yield f"within what the model fits anyway, and so not seen in this data: {', '.join(names)}"
+
+
+def _unlogged(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[str]:
+    """Signals that no record holds, and what can therefore not be found to be the cause."""
+    there = {part.place for part in evidence.parts}
+    held = {name for part in evidence.parts for name in part.logged}
+    here = [one for one in shelf.values() if there.intersection(one.places) and not one.absorbed]
+    for signal, words in LOGGED.items():
+        names = sorted(one.name for one in here if signal in one.needs)
+        if names and signal not in held:
+            yield f"{words} is in no record, and so cannot be the cause: {', '.join(names)}"
 
 
 def _conditions(evidence: Evidence) -> Iterator[str]:

@@ -11,6 +11,7 @@ class DriveFeedthrough(Effect):
     equation = "V += share·V_drive"
     quantities = BOTH
     places = ("shaker",)
+    needs = ("source",)
     coordinates = (Coordinate("share", 1e-4),)
     parameters = (Parameter("share", "1", (-0.05, 0.05), (1e-5, 1e-3)),)
     missing = "the same volts in all channels, in line with the drive's voltage: against the acceleration, ∝ 1/f²"

@@ -15,6 +15,7 @@ class SupplyRatio(Effect):
     title = "ratiometric supply"
     equation = "V = (S·u + V₀)·(1 + share·(Vs/5 V − 1))"
     quantities = BOTH
+    needs = ("supply",)
     coordinates = (Coordinate("share", 0.1),)
     parameters = (Parameter("share", "1", (0.0, 1e3), (0.1, 1.0)),)
     missing = "gain and mean drift together, by the same share, with the logged supply"

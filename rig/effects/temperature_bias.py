@@ -15,6 +15,7 @@ class TemperatureBias(Effect):
     title = "temperature coefficient of the zero output"
     equation = "V₀(T) = V₀ + S·coefficient·(T − 25 °C)"
     quantities = BOTH
+    needs = ("temperature",)
     coordinates = (Coordinate("coefficient", 0.002),)
     parameters = (Parameter("coefficient", "SI/K", (-1.0, 1.0), (0.002, 0.02)),)
     missing = "the mean drifts with the logged temperature, whatever the input; the gain stays"

@@ -15,6 +15,7 @@ class TemperatureScale(Effect):
     title = "temperature coefficient of the sensitivity"
     equation = "S(T) = S·(1 + coefficient·(T − 25 °C))"
     quantities = BOTH
+    needs = ("temperature",)
     coordinates = (Coordinate("coefficient", 1e-4),)
     parameters = (Parameter("coefficient", "1/K", (-1.0, 1.0), (1e-4, 3e-4)),)
     missing = "the gain drifts with the logged temperature, in proportion to the signal; the zero stays"

@@ -20,6 +20,11 @@ from rig.foreign.manifest import UNIT_KINDS, Column, Manifest, from_json
 
 Array = NDArray[np.float64]
 PROCEDURE = "import"
+CONDITIONS = {
+    "temperature": "temperature",
+    "supply": "voltage",
+}  # what is logged beside a motion, and as which quantity
+CELSIUS = 273.15  # K at 0 °C
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,19 @@ class Foreign:
     def si(self, table: Table, column: Column) -> Array:
         """One column in SI, (n,): (number − zero) ÷ numbers per SI unit; NaN where the file has none."""
         return np.asarray((table.of(column.column) - column.zero) / column.scale, np.float64)
+
+    def condition(self, table: Table, name: str) -> Array:
+        """Temperature (°C) or supply (V) at every row, (n,): a column's, else the file's setting; NaN for neither."""
+        there = self.manifest.of("condition", CONDITIONS[name])
+        if there and name == "temperature" and there[0].unit == "K":
+            return self.si(table, there[0]) - CELSIUS
+        if there:
+            return self.si(table, there[0])
+        stated = table.settings.get(name)
+        if not isinstance(stated, str):
+            return np.full(len(table.values), math.nan)
+        value = units.parse(stated, CONDITIONS[name]) - (CELSIUS if name == "temperature" else 0.0)
+        return np.full(len(table.values), value)
 
     def time(self, table: Table) -> Array:
         """Time stamps as they stand, or made from rate or interval; s, (n,). BadInput without a time base."""

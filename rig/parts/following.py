@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rig.model import Channels, Effect, Local, Term, at_work, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts.part import Cut, Mask, Tabled
+from rig.parts.reading.conditions import filled, logged
 from rig.parts.sines import REMEMBERED, reference_key
 from rig.parts.turning import Shown, true_motion
 
@@ -30,7 +31,6 @@ FREE = 10.0  # lines' worth of freedom that a density is worked out from at leas
 LOUDEST = 16.0  # times the mean power that noise may have just when an effect shows
 RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
 ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
-ROOM = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
 ALLOWANCE = 0.2
 
 
@@ -41,7 +41,8 @@ class FollowRecords:
     `observed` (c, n) V or SI as the manifest has it. `shown`: angle, rate and acceleration about `axis` (rotation), or
     none. `rate`, `turning`, `force`, `up` in the case frame (3, n): as the reference shows them. `upright` and `phase`
     say how gravity lies for a rotation. `records` and `stretches` bounds among the instants; `held` (stretches,).
-    `bands` Hz for rates and for forces. `time` s within each record's file.
+    `bands` Hz for rates and for forces. `time` s within each record's
+    file. `temperature` °C and `supply` V at the instants, NaN where not logged.
     """
 
     name: str
@@ -64,6 +65,8 @@ class FollowRecords:
     stretches: tuple[tuple[int, int], ...]
     held: Mask
     bands: tuple[float, float]
+    temperature: Array
+    supply: Array
     notes: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
 
@@ -85,6 +88,7 @@ class Following(Tabled):
     def __init__(self, data: FollowRecords) -> None:
         self.data, self.name, self.run, self.place, self.channels = data, data.name, data.run, data.place, data.channels
         self.notes, self.blind = data.notes, data.blind
+        self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.row_names, self.row_rates = data.channels.names, data.channels.rates
         self.grid = Stretches(data.interval, data.records)
         self.width = sum(len(f) for f in self._frequencies)
@@ -141,7 +145,7 @@ class Following(Tabled):
         nowhere = np.zeros((3, count))
         return Motion(
             grid=self.grid, place=self.place, force=force, rate=rate, turning=turning, up=up, gravity=data.gravity,
-            temperature=np.full(count, ROOM["temperature"]), supply=np.full(count, ROOM["supply"]),
+            temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
             elapsed=data.time - float(data.time[0]), angle=angle, motor=np.zeros(count), outward=nowhere,
             tangent=nowhere,
         )  # fmt: skip

@@ -30,6 +30,7 @@ class Part(Protocol):
     place: str
     channels: Channels
     instruments: frozenset[str]
+    logged: frozenset[str]  # signals beside the motion that the records hold: temperature, supply, source
     target: Array  # (rows,)
     extra: Array  # (rows, k): nuisances with a prior of one standard deviation each
 
@@ -75,6 +76,7 @@ class Tabled(ABC):
     target: Array  # (rows,)
     extra: Array  # (rows, k)
     instruments: frozenset[str] = frozenset()  # kinds of reference with effects of their own
+    logged: frozenset[str] = frozenset()  # signals beside the motion that its records hold
     row_names: tuple[str, ...]  # names of the table's rows; its channels unless rows belong to several
     row_rates: NDArray[np.bool_]  # (names,): whether a row is of a rate
     width: int

@@ -23,6 +23,7 @@ from rig.errors import BadInput
 from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import Array, Motion, Response
 from rig.parts.part import STEP, Cut, Mask, Tabled
+from rig.parts.reading.conditions import filled, logged
 
 GRAVITY = "gravity"
 TILT = math.radians(2.0)  # how well the axis of a turn is along that of the case, standard uncertainty of each angle
@@ -60,7 +61,7 @@ class PosedRecords:
     `observed` (c, n) V, NaN where there is none, with the noise's `variance` (c, n) V². `turn` is the known angle as a
     vector in the case frame, rad, (3, n), zero in a pose, with standard uncertainty `u_turn` rad, (n,); `seconds` how
     long each took, `time` its middle, s, (n,). `held` (n,): a model is judged by them. `temperature` °C, `supply` V,
-    both (n,). `gravity` and `u_gravity` m/s².
+    both (n,), NaN where not logged. `gravity` and `u_gravity` m/s².
     """
 
     name: str
@@ -98,6 +99,7 @@ class Posed(Tabled):
 
     def __init__(self, data: PosedRecords) -> None:
         self.data, self.name, self.run, self.channels = data, data.name, data.run, data.channels
+        self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid, self.width = Still(), data.observed.shape[1]
         self._triad, self._gyros = _triad(data), data.channels.of("rate")
         first = (GRAVITY,) if len(self._triad) else ()
@@ -121,7 +123,8 @@ class Posed(Tabled):
         rate = data.turn / data.seconds
         return Motion(
             grid=self.grid, place=self.place, force=force, rate=rate, turning=np.zeros_like(rate), up=_unit(force),
-            gravity=data.gravity, temperature=data.temperature, supply=data.supply,
+            gravity=data.gravity, temperature=filled("temperature", data.temperature),
+            supply=filled("supply", data.supply),
             elapsed=data.time - float(data.time.min()),
         )  # fmt: skip
 

@@ -24,12 +24,12 @@ from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts.part import Cut, Mask, Tabled
+from rig.parts.reading.conditions import NOMINAL
 
 CLOSE = 1e-6  # relative: one frequency
 NEIGHBOURS = 2  # frequencies on either side that repeats' scatter is pooled over
 CONFOUNDED = 0.8  # correlation of the logarithms of level and frequency
 HELD_OUT = 3  # every third frequency is held out where no file is
-CONDITIONS = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Responding(Tabled):
         still = np.zeros((3, count, PHASES))
         return Motion(
             grid=self.grid, place=self.place, force=still, rate=still, turning=still, up=up, gravity=data.gravity,
-            temperature=np.full(count, CONDITIONS["temperature"]), supply=np.full(count, CONDITIONS["supply"]),
+            temperature=np.full(count, NOMINAL["temperature"]), supply=np.full(count, NOMINAL["supply"]),
             elapsed=np.zeros(count), along=along, drive=drive, side=side, source=np.zeros(count), scale=np.ones(count),
         )  # fmt: skip
 

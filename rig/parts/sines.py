@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rig.model import Channels, Local, Term, at_work, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
+from rig.parts.reading.conditions import filled, logged
 from rig.signals.noise import NoiseModel
 
 MAINS_ORDERS = (1, 3)
@@ -93,6 +94,8 @@ class Sines:
     def __init__(self, data: SineRecords) -> None:
         self.instruments = frozenset({"vibrometer"} if data.vibrometer else ())
         self.data, self.name, self.channels = data, data.name, data.channels
+        source = np.where(data.source != 0.0, data.source, np.nan)
+        self.logged = logged(temperature=data.temperature, supply=data.supply, source=source)
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
         self._moved: dict[tuple[object, ...], Motion] = {}
@@ -114,7 +117,7 @@ class Sines:
         drive, up, side = (np.repeat(data.directions[:, k : k + 1], count, axis=1) for k in range(3))
         return Motion(
             grid=self.grid, place="shaker", force=still, rate=still, turning=still, up=up, gravity=data.gravity,
-            temperature=data.temperature, supply=data.supply,
+            temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
             elapsed=0.5 * (data.begin + data.end) - float(data.begin.min()), along=data.shown, drive=drive, side=side,
             source=2.0 * data.source, scale=data.scale,
         )  # fmt: skip

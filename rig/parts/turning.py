@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.model import Channels, Effect, Local, Term, at_work, volts
 from rig.motion import Array, Motion, Stretches
+from rig.parts.reading.conditions import filled, logged
 from rig.parts.sines import REMEMBERED, reference_key
 from rig.signals.noise import NoiseModel
 
@@ -82,6 +83,7 @@ class Turning:
 
     def __init__(self, data: TurnRecords) -> None:
         self.data, self.name, self.channels = data, data.name, data.channels
+        self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid = Stretches(data.interval, data.records)
         self.extra = np.zeros((self.rows, 0))
         self._moved: dict[tuple[object, ...], Motion] = {}
@@ -120,9 +122,9 @@ class Turning:
         )
         return Motion(
             grid=self.grid, place="turntable", force=force, rate=data.up * rate, turning=data.up * acceleration,
-            up=data.up, gravity=data.gravity, temperature=data.temperature, supply=data.supply,
-            elapsed=data.time - float(data.time[0]), angle=angle, motor=data.motor.astype(np.float64),
-            outward=data.outward, tangent=data.tangent,
+            up=data.up, gravity=data.gravity, temperature=filled("temperature", data.temperature),
+            supply=filled("supply", data.supply), elapsed=data.time - float(data.time[0]), angle=angle,
+            motor=data.motor.astype(np.float64), outward=data.outward, tangent=data.tangent,
         )  # fmt: skip
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:

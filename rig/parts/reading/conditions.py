@@ -14,6 +14,20 @@ import numpy as np
 from rig.motion import Array
 
 HIGHEST = 7  # degree
+# where nobody logged them: what the effects take as nominal, so that none of theirs does anything
+NOMINAL = {"temperature": 25.0, "supply": 5.0}
+
+
+def logged(**values: Array) -> frozenset[str]:
+    """Names of the signals that a record holds: of whose readings some are numbers."""
+    return frozenset(name for name, one in values.items() if np.isfinite(one).any())
+
+
+def filled(name: str, values: Array) -> Array:
+    """Readings (n,) with their mean where some are no numbers, and with what is nominal where all are."""
+    known = np.isfinite(values)
+    usual = float(values[known].mean()) if known.any() else NOMINAL[name]
+    return np.asarray(np.where(known, values, usual), np.float64)
 
 
 def smoothed(time: Array, values: Array) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rig import units
 from rig.errors import BadInput
 from rig.foreign.manifest import Column, Manifest
-from rig.foreign.tables import Foreign, Table
+from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.reading.shaker_distortion import shaker_remarks
@@ -32,7 +32,6 @@ from rig.signals import tone
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 REST = "rest"
-CONDITIONS = {"temperature": 23.0, "supply": 5.0}  # not logged: constant, so that no effect of theirs shows
 SEARCHED = (0.7, 1.4)  # of the commanded frequency: where the driven line is looked for
 PEAK = 10.0  # amplitude of the driven line over the median line in that band
 SHORTEST = 5.0  # cycles
@@ -205,7 +204,7 @@ def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Reco
     leftovers = [_incoherent(one, _ratio(one, records)) for one in records]
     observed = np.stack([_observed(one) for one in records], axis=1)
     shown = np.stack([_harmonics(one)[0] for one in records])
-    conditions = {name: np.array([_condition(foreign, one.table, name) for one in records]) for name in CONDITIONS}
+    conditions = {name: np.array([_mean(foreign.condition(one.table, name)) for one in records]) for name in CONDITIONS}
     return SineRecords(
         name=f"{foreign.run}#0",
         run=foreign.run,
@@ -269,11 +268,10 @@ def _level(made: Manifest, table: Table) -> str:
     return ", ".join(said) or table.label
 
 
-def _condition(foreign: Foreign, table: Table, name: str) -> float:
-    """Mean temperature or supply of a file, if a column has it."""
-    wanted = "temperature" if name == "temperature" else "voltage"
-    there = foreign.manifest.of("condition", wanted)
-    return float(np.nanmean(foreign.si(table, there[0]))) if there else CONDITIONS[name]
+def _mean(values: Array) -> float:
+    """Of what is a number, NaN of nothing."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 def _harmonics(one: _Record) -> Complexes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from rig.errors import BadInput
 from rig.foreign.manifest import Column, Rotation
-from rig.foreign.tables import Foreign, Table
+from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
 from rig.parts.following import FollowRecords, spun_force
+from rig.parts.reading.conditions import smoothed
 from rig.parts.reading.shared_lines import shared_lines
 from rig.parts.turning import Shown
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
@@ -41,6 +42,7 @@ class _Piece:
     good: NDArray[np.bool_]
     interval: float
     track: AngleTrack | PoseTrack
+    conditions: Mapping[str, Array]
     step: int = 1
     taps: Array | None = None
 
@@ -125,9 +127,21 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
         gap = stamps[later][near] - stamps[later][near - 1]
         good &= gap < 5.0 * track.interval
         good &= (track.time >= stamps[later][0]) & (track.time <= stamps[later][-1])
-    return _thinned(
-        _Piece(table, track.time, np.array(found), good, track.interval, track), max(_bands(foreign, track))
-    )
+    conditions = _conditions(foreign, table, track.time)
+    piece = _Piece(table, track.time, np.array(found), good, track.interval, track, conditions)
+    return _thinned(piece, max(_bands(foreign, track)))
+
+
+def _conditions(foreign: Foreign, table: Table, at: Array) -> dict[str, Array]:
+    """Temperature and supply at the instants of the grid, without the noise of their readings; NaN where not logged."""
+    time, found = foreign.time(table), {}
+    for name in CONDITIONS:
+        values = foreign.condition(table, name)
+        known = np.flatnonzero(np.isfinite(time) & np.isfinite(values))
+        known = known[np.diff(np.maximum.accumulate(time[known]), prepend=-math.inf) > 0.0]
+        there = np.interp(at, time[known], smoothed(time[known], values[known])) if len(known) else math.nan
+        found[name] = np.broadcast_to(there, at.shape)
+    return found
 
 
 def _thinned(piece: _Piece, band: float) -> _Piece:
@@ -150,6 +164,7 @@ def _thinned(piece: _Piece, band: float) -> _Piece:
         observed=smooth,
         good=good,
         interval=step * piece.interval,
+        conditions={name: values[::step] for name, values in piece.conditions.items()},
         step=step,
         taps=taps,
     )
@@ -197,6 +212,10 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
     stretches, held = _stretches(foreign, runs, records, interval)
     observed = np.concatenate([piece.observed[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
     time = np.concatenate([piece.time[s] for (piece, _, _), s in zip(runs, cut, strict=True)])
+    conditions = {
+        name: np.concatenate([piece.conditions[name][s] for (piece, _, _), s in zip(runs, cut, strict=True)])
+        for name in CONDITIONS
+    }
     notes = [note for piece in pieces for note in piece.track.notes]
     data = FollowRecords(
         name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
@@ -204,6 +223,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
         upright=0.0, phase=0.0, rate=np.zeros((3, len(time))), turning=np.zeros((3, len(time))),
         force=np.zeros((3, len(time))), up=np.zeros((3, len(time))), gravity=made.gravity.value, records=records,
         stretches=stretches, held=held, bands=bands, notes=tuple(notes), blind=_BLIND,
+        **conditions,
     )  # fmt: skip
     if rotation is None:
         vectors = {

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from rig.errors import BadInput
 from rig.foreign.manifest import Column, Segment
-from rig.foreign.tables import Foreign, Table
+from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import Array
 from rig.parts.poses import PARAMETERS, PosedRecords
 from rig.signals.noise import NoiseModel, fit_density
 from rig.signals.spectrum import Density
 
-CONDITIONS = {"temperature": 25.0, "supply": 5.0}  # where nobody logged them: constant, so no effect of theirs shows
 LEAST = 32  # samples of a part at rest that says something about noise
 BINS = 10.0  # per decade of frequency
 EDGE = 0.1  # of a part, left out at either end where its noise is looked at
@@ -195,8 +194,8 @@ def _means(
     still = np.array([not one.turns and not one.rest for one in intervals])
     floor, said = _floor(channels, observed, variance, still)
     conditions = {
-        name: np.array([_condition(foreign, table, quantity, here, CONDITIONS[name]) for here in rows])
-        for name, quantity in (("temperature", "temperature"), ("supply", "voltage"))
+        name: np.array([_mean(values[here]) for here in rows])
+        for name, values in ((name, foreign.condition(table, name)) for name in CONDITIONS)
     }
     gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
     gravity = foreign.manifest.gravity
@@ -212,12 +211,6 @@ def _means(
 def _mean(values: Array) -> float:
     there = values[np.isfinite(values)]
     return float(there.mean()) if len(there) else math.nan
-
-
-def _condition(foreign: Foreign, table: Table, quantity: str, here: slice, usual: float) -> float:
-    found = foreign.manifest.of("condition", quantity)
-    value = _mean(foreign.si(table, found[0])[here]) if found else usual
-    return value if math.isfinite(value) else usual
 
 
 def _variance(model: NoiseModel, begin: Array, seconds: Array) -> Array:

@@ -33,6 +33,7 @@ from rig.yaml.document import Document
 Kind = Literal["response", "sweep", "rotation", "motion", "poses", "static"]
 Role = Literal["device", "reference", "drive", "condition"]
 Axis = Literal["x", "y", "z"]
+Signed = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Quantity = Literal[
     "acceleration", "rate", "angle", "position", "quaternion", "temperature", "voltage", "unstated",
     "frequency", "magnitude", "phase", "real", "imaginary", "excitation", "line_a", "line_b", "index_line",
@@ -157,8 +158,9 @@ class Rotation(Strict):
     """Turned about one axis of the case: `axis`, `upright` if it stands along the plumb line (else it lies level).
 
     `sense`: +1 if the reference's angle counts as a right-hand turn about the axis, −1 if against, left out if nobody
-    says: it is then found and reported. `lines` of an encoder per revolution, for sampled lines. `radius` and its
-    direction are those of the case from the axis, if it is known.
+    says: it is then found and reported. `lines` of an encoder per revolution, for sampled lines. `radius` of the case
+    from the axis, with its standard uncertainty; `outward` is the case's axis that points away from the axis of
+    rotation, left out if nobody says: it is then found from the accelerometers and reported.
     """
 
     axis: Axis
@@ -166,6 +168,8 @@ class Rotation(Strict):
     sense: Literal[1, -1] | None = None
     lines: int | None = Field(default=None, gt=0)
     radius: Length = Field(default=0.0, ge=0)
+    radius_uncertainty: Length = Field(default=0.0, ge=0)
+    outward: Signed | None = None
 
 
 class Pose(Strict):
@@ -176,13 +180,14 @@ class Pose(Strict):
 
 
 class Segment(Strict):
-    """Rows of a record with a known state: at rest (`up`: which case axis points up, e.g. "+x", if known) or one turn
-    by a known `angle` about an axis, with its standard uncertainty."""
+    """Rows of a record with a known state. Of poses: at rest, or one turn by a known `angle` about an axis, with its
+    standard uncertainty. Of a rotation: how the case stood on the axis. `up`: which case axis points up, e.g. "+x", if
+    known."""
 
     label: str = ""
     first: int = Field(ge=0)
     last: int = Field(gt=0)
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    up: Signed | None = None
     turn: Axis | None = None
     angle: Angle | None = None
     angle_uncertainty: Angle = Field(default=0.0, ge=0)

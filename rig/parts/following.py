@@ -54,8 +54,10 @@ class FollowRecords:
     time: Array
     shown: Shown | None
     axis: int
-    upright: float  # ±1 with the axis up or down; 0 if it lies level
+    upright: Array  # (n,): ±1 with the axis up or down; 0 where it lies level
     phase: float
+    radius: float  # m, of the case from the axis
+    outward: Array  # unit vector in the case, (3,); nothing if nobody knows
     rate: Array
     turning: Array
     force: Array
@@ -71,15 +73,25 @@ class FollowRecords:
     blind: tuple[str, ...] = ()
 
 
-def spun_force(data: FollowRecords, angle: Array) -> Array:
-    """Specific force of gravity in the case at these angles, m/s², (3, n): u(θ) = R(axis, −θ)·u(0)."""
+def spun_up(data: FollowRecords, angle: Array) -> Array:
+    """What is up, in the case at these angles, (3, n): u(θ) = R(axis, −θ)·u(0)."""
     found = np.zeros((3, len(angle)))
-    if data.upright:
-        found[data.axis] = data.upright * data.gravity
-        return found
-    found[(data.axis + 1) % 3] = data.gravity * np.cos(angle - data.phase)
-    found[(data.axis + 2) % 3] = -data.gravity * np.sin(angle - data.phase)
+    found[data.axis] = data.upright
+    lies = data.upright == 0.0
+    found[(data.axis + 1) % 3] = np.where(lies, np.cos(angle - data.phase), 0.0)
+    found[(data.axis + 2) % 3] = np.where(lies, -np.sin(angle - data.phase), 0.0)
     return found
+
+
+def spun_force(data: FollowRecords, up: Array, shown: Shown) -> Array:
+    """Specific force of gravity and of going round beside the axis, g·up + r·(−ω²·outward + α·tangent), (3, n)."""
+    beside = -np.outer(data.outward, shown.rate**2) + np.outer(tangent_of(data), shown.acceleration)
+    return np.asarray(data.gravity * up + data.radius * beside)
+
+
+def tangent_of(data: FollowRecords) -> Array:
+    """Axis × outward, in the case, (3,)."""
+    return np.cross(np.eye(3)[data.axis], data.outward)
 
 
 class Following(Tabled):
@@ -139,15 +151,15 @@ class Following(Tabled):
             angle, about, faster = true_motion(data.shown, terms)
             rate, turning = np.zeros_like(rate), np.zeros_like(rate)
             rate[data.axis], turning[data.axis] = about, faster
-            force = spun_force(data, angle)
-            up = force / data.gravity
+            up = spun_up(data, angle)
+            force = spun_force(data, up, Shown(angle, about, faster))
         count = len(data.time)
-        nowhere = np.zeros((3, count))
+        outward, tangent = (np.repeat(one[:, None], count, axis=1) for one in (data.outward, tangent_of(data)))
         return Motion(
             grid=self.grid, place=self.place, force=force, rate=rate, turning=turning, up=up, gravity=data.gravity,
             temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
-            elapsed=data.time - float(data.time[0]), angle=angle, motor=np.zeros(count), outward=nowhere,
-            tangent=nowhere,
+            elapsed=data.time - float(data.time[0]), angle=angle, motor=np.zeros(count), outward=outward,
+            tangent=tangent,
         )  # fmt: skip
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:

@@ -18,6 +18,7 @@ from rig.parts.reading.vibration import Chain, chain_of
 from rig.shelf import effect_of, nothing_of
 
 U_GRAVITY_ANGLE = 0.3  # rad
+U_PLACE_ANGLE = 0.3  # rad
 U_BEND = 0.01  # relative, at the end of the band
 
 
@@ -88,6 +89,35 @@ class GravityAngle(Effect):
         return Motion(**{**vars(motion), **moved})
 
 
+class CasePlace(Effect):
+    """Where a case sits beside the axis: the length and the direction of its radius are known only about."""
+
+    name = "case_place"
+    stage = "motion"
+    title = "place of the case beside the axis"
+    equation = "f += −ω²·Δ(r·outward) + α·Δ(r·tangent)"
+    places = ("rotation",)
+    missing = "part of the acceleration along the radius in the accelerometer along the tangent, and the other way"
+    separate_by = "the case on a mark of the platter, its radius measured"
+    source = "centripetal and tangential acceleration"
+
+    def __init__(self, axis: int, radius: float, prior: Values) -> None:
+        self._axis, self._radius = axis, radius
+        self.coordinates = tuple(Coordinate(name, 1e-3) for name in prior)  # type: ignore[misc]
+        units = {"angle": "rad", "length": "m"}
+        self.parameters = tuple(  # type: ignore[misc]
+            Parameter(name, units[name], (-math.pi, math.pi), (0.0, 0.1)) for name in prior
+        )
+
+    def motion(self, motion: Motion, at: Values) -> Motion:
+        angle, radius = at.get("angle", 0.0), self._radius + at.get("length", 0.0)
+        out, along = radius * math.cos(angle) - self._radius, radius * math.sin(angle)
+        outward = out * motion.outward + along * motion.tangent
+        tangent = out * motion.tangent - along * motion.outward
+        squares = np.sum(motion.rate**2, axis=0)
+        return motion.with_force(tangent * motion.turning[self._axis] - outward * squares)
+
+
 class ReferenceBend(Effect):
     """A smoothed reference keeps the motion to a per cent at the end of the band: its response bends a little."""
 
@@ -125,6 +155,11 @@ def of_track(band: float) -> list[Term]:
 def of_rotation(axis: int) -> list[Term]:
     """Where gravity lies, found from the accelerometers themselves and so known only about."""
     return [Term(GravityAngle(axis), None, {"angle": 0.0}, {"angle": U_GRAVITY_ANGLE})]
+
+
+def of_place(axis: int, radius: float, prior: Values) -> list[Term]:
+    """What is known only about of a case beside the axis: its `angle` (rad), its `length` (m), or both."""
+    return [Term(CasePlace(axis, radius, prior), None, dict.fromkeys(prior, 0.0), prior)] if prior else []
 
 
 def of_shaker(runs: Sequence[Recorded]) -> list[Term]:

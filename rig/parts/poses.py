@@ -79,6 +79,7 @@ class PosedRecords:
     gravity: float
     u_gravity: float
     notes: tuple[str, ...] = ()
+    up: Array | None = None  # (3, n): what the owner says is up, NaN where nobody does
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,11 @@ class Posed(Tabled):
         )  # fmt: skip
 
     def _first(self, sensitivity: Array, zero: Array) -> Array:
-        """What the triad shows by sensitivities and zeros alone, m/s², (3, n); gravity along z where it shows none."""
+        """What the triad shows by sensitivities and zeros alone, m/s², (3, n); where it shows nothing, gravity along
+        what is stated to be up, else along z."""
         usual = np.repeat(self.data.gravity * np.eye(3)[:, 2:], self.width, axis=1)
+        if self.data.up is not None:
+            usual = np.where(np.isfinite(self.data.up), self.data.gravity * self.data.up, usual)
         if not len(self._triad):
             return usual
         shown = ((self.data.observed - zero[:, None]) / sensitivity[:, None])[self._triad]

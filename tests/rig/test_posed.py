@@ -354,6 +354,24 @@ def test_a_turn_stated_the_wrong_way_round_is_said() -> None:
     assert any(note.startswith("gyro_z shows -3") and "stated as 360°" in note for note in data.notes)
 
 
+def test_gyros_alone_feel_gravity_along_the_axis_that_is_stated_to_be_up() -> None:
+    values, _ = recorded(24)
+    said = [{"first": 300 * k, "last": 300 * (k + 1), "up": up} for k, up in enumerate(("+x", "-y", None))]
+    gyros = columns(PER, 1000.0)[3:]
+    part = Posed(posed(foreign({"columns": gyros, "segments": said}, values))[0])
+    np.testing.assert_allclose(part.reference.up[:, ::2], np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1]]).T, atol=1e-12)
+
+
+def test_a_pose_that_the_accelerometers_have_upside_down_is_said_by_its_label() -> None:
+    values, segments = recorded(24)
+    largest = values[:300, :3].mean(axis=0) - 1000.0
+    axis = int(np.abs(largest).argmax())
+    for sign, count in (("-", 1), ("+", 0)) if largest[axis] > 0.0 else (("+", 1), ("-", 0)):
+        told = [{**segments[0], "label": "first face", "up": f"{sign}{'xyz'[axis]}"}, *segments[1:]]
+        data = posed(foreign({"columns": columns(PER, 1000.0), "segments": told}, values))[0]
+        assert sum("in first face, stated with" in note for note in data.notes) == count
+
+
 def test_a_segment_beyond_the_record_is_refused() -> None:
     values, segments = recorded(24)
     with pytest.raises(BadInput, match="found a segment up to row 99999, wanted at most 7300"):

@@ -37,9 +37,8 @@ def _read(foreign: Foreign) -> tuple[list[Part], list[Term]]:
             return [Responding(_beside(foreign, data)) for data in responses(foreign)], []
         case "rotation":
             turned = _beside(foreign, rotations(foreign))
-            lies = not turned.upright and not turned.channels.rates.all()
             known = nuisances.of_track(max(turned.bands))
-            return [Following(turned)], [*known, *(nuisances.of_rotation(turned.axis) if lies else [])]
+            return [Following(turned)], [*known, *([] if turned.channels.rates.all() else _standing(foreign, turned))]
         case "motion":
             moved = _beside(foreign, motions(foreign))
             return [Following(moved)], nuisances.of_track(max(moved.bands))
@@ -49,6 +48,17 @@ def _read(foreign: Foreign) -> tuple[list[Part], list[Term]]:
             return [Posed(data) for data in posed(foreign)], []
         case kind:
             raise BadInput(f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: rig show)")
+
+
+def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
+    """What accelerometers on a rotation depend on and nobody states: where gravity lies, and where the case sits."""
+    stated = foreign.manifest.rotation
+    prior: dict[str, float] = {}
+    if turned.outward.any() and stated is not None:
+        prior |= {} if stated.outward else {"angle": nuisances.U_PLACE_ANGLE}
+        prior |= {"length": stated.radius_uncertainty} if stated.radius_uncertainty else {}
+    lies = [] if turned.upright.any() else nuisances.of_rotation(turned.axis)
+    return [*lies, *nuisances.of_place(turned.axis, turned.radius, prior)]
 
 
 def _beside(foreign: Foreign, data: D) -> D:

@@ -14,8 +14,9 @@ from rig.errors import BadInput
 from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
-from rig.parts.following import FollowRecords, spun_force
+from rig.parts.following import FollowRecords, spun_force, spun_up
 from rig.parts.reading.conditions import smoothed
+from rig.parts.reading.poses import signed
 from rig.parts.reading.shared_lines import shared_lines
 from rig.parts.turning import Shown
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
@@ -75,22 +76,22 @@ def _turned(foreign: Foreign, table: Table) -> AngleTrack:
         return _counted(foreign, table)
     u = foreign.u(table, columns[0])
     return encoder_track(  # jitter of stamps is in the incoherent part: weights for it would bend the response
-        foreign.time(table), foreign.si(table, columns[0]), u_angle=0.0 if u is None else float(u[0]),
-        keep=_keep(foreign),
+        foreign.time(table) + columns[0].delay, foreign.si(table, columns[0]),
+        u_angle=0.0 if u is None else math.sqrt(float(np.nanmean(u**2))), keep=_keep(foreign),
     )  # fmt: skip
 
 
 def _counted(foreign: Foreign, table: Table) -> AngleTrack:
     """From the sampled lines of an encoder."""
-    made, signals = foreign.manifest, {}
+    made, signals, delay = foreign.manifest, {}, 0.0
     for quantity in ("line_a", "line_b", "index_line"):
         found = made.of("reference", quantity)
         if found:
-            signals[quantity] = foreign.si(table, found[0])
+            signals[quantity], delay = foreign.si(table, found[0]), found[0].delay
     if made.rotation is None or made.rotation.lines is None or "line_b" not in signals:
         raise BadInput(f"{foreign.run}: found no line_b or no lines per revolution, wanted both for a sampled encoder")
     return quadrature_track(
-        foreign.time(table), signals["line_a"], signals["line_b"], signals.get("index_line"),
+        foreign.time(table) + delay, signals["line_a"], signals["line_b"], signals.get("index_line"),
         lines=made.rotation.lines, keep=_keep(foreign),
     )  # fmt: skip
 
@@ -102,8 +103,9 @@ def _posed(foreign: Foreign, table: Table) -> PoseTrack:
     quaternion: dict[str | None, Array] = {
         one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
     }
+    delay = made.of("reference", "position")[0].delay  # the same for all that the cameras say
     return pose_track(
-        foreign.time(table), np.stack([position[a] for a in AXES], axis=1),
+        foreign.time(table) + delay, np.stack([position[a] for a in AXES], axis=1),
         np.stack([quaternion[c] for c in "wxyz"], axis=1), convention=made.pose.quaternion, up=made.pose.up,
         gravity=made.gravity.value, keep=_keep(foreign),
     )  # fmt: skip
@@ -220,10 +222,10 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
     data = FollowRecords(
         name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
         channels=channels_of(_device(foreign)), observed=observed, interval=interval, time=time, shown=None, axis=0,
-        upright=0.0, phase=0.0, rate=np.zeros((3, len(time))), turning=np.zeros((3, len(time))),
-        force=np.zeros((3, len(time))), up=np.zeros((3, len(time))), gravity=made.gravity.value, records=records,
-        stretches=stretches, held=held, bands=bands, notes=tuple(notes), blind=_BLIND,
-        **conditions,
+        upright=np.zeros(len(time)), phase=0.0, radius=0.0, outward=np.zeros(3), rate=np.zeros((3, len(time))),
+        turning=np.zeros((3, len(time))), force=np.zeros((3, len(time))), up=np.zeros((3, len(time))),
+        gravity=made.gravity.value, records=records, stretches=stretches, held=held, bands=bands, notes=tuple(notes),
+        blind=_BLIND, **conditions,
     )  # fmt: skip
     if rotation is None:
         vectors = {
@@ -231,7 +233,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
             for name in ("rate", "turning", "force", "up")
         }
         return FollowRecords(**{**vars(data), **vectors})
-    return _with_encoder(data, runs, rotation)
+    return _with_encoder(data, runs, rotation, _stated_up(foreign, runs))
 
 
 _BLIND = (
@@ -240,24 +242,85 @@ _BLIND = (
 )
 
 
-def _with_encoder(data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation) -> FollowRecords:
+Stated = tuple[NDArray[np.bool_], Array]  # instants (n,), and what is up then, in the case (3,)
+
+
+def _stated_up(foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]]) -> list[Stated]:
+    """Segments that say which axis of the case is up."""
+    found = []
+    for one in foreign.manifest.segments:
+        if one.up is not None:
+            masks = []
+            for piece, begin, end in runs:
+                stamps, time = foreign.time(piece.table)[one.first : one.last], piece.time[begin:end]
+                masks.append((time >= np.nanmin(stamps)) & (time <= np.nanmax(stamps)))
+            found.append((np.concatenate(masks), signed(one.up)))
+    return found
+
+
+def _with_encoder(
+    data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation, stated: Sequence[Stated]
+) -> FollowRecords:
     """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
     arrays = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
               for name in ("angle", "rate", "acceleration")]  # fmt: skip
     axis = AXES.index(rotation.axis)
     found, said = _sense(data, axis, arrays[1])
     sense = float(rotation.sense or found or 1)
-    notes = list(data.notes)
-    if said and rotation.sense is None:
-        notes.append(said)
+    notes = [*data.notes, *([said] if said and rotation.sense is None else [])]
     shown = Shown(*(sense * one for one in arrays))
     rate, turning = np.zeros_like(data.rate), np.zeros_like(data.rate)
     rate[axis], turning[axis] = shown.rate, shown.acceleration
-    upright, phase = _gravity(data, axis, shown.angle, rotation.upright)
-    made = FollowRecords(**{**vars(data), "shown": shown, "axis": axis, "upright": upright, "phase": phase,
-                            "rate": rate, "turning": turning, "notes": tuple(notes)})  # fmt: skip
-    force = spun_force(made, shown.angle)
-    return FollowRecords(**{**vars(made), "force": force, "up": force / made.gravity})
+    felt = _across(data, axis, shown, rotation)
+    outward, more = _outward(felt, axis, rotation)
+    upright, phase = _upright(data, axis, stated), _phase(felt, axis, shown.angle, stated)
+    if not rotation.upright:
+        upright = np.zeros_like(upright)
+    made = replace(
+        data, shown=shown, axis=axis, upright=upright, phase=phase, radius=rotation.radius, outward=outward, rate=rate,
+        turning=turning, notes=(*notes, *more, *_against(data, stated)),
+    )  # fmt: skip
+    up = spun_up(made, shown.angle)
+    return replace(made, up=up, force=spun_force(made, up, shown))
+
+
+def _across(data: FollowRecords, axis: int, shown: Shown, rotation: Rotation) -> dict[str, complex]:
+    """What the accelerometers across the axis feel in proportion to gravity that goes round and to the motion of a case
+    beside the axis, each as a complex number: along the first axis across it, and the second. {} if they tell nothing.
+    """
+    parts = {} if rotation.upright else {"gravity": np.exp(-1j * shown.angle)}
+    if rotation.radius:
+        parts["outward"] = -(shown.rate**2) + 1j * shown.acceleration
+    rows, columns = [], []
+    for row in np.flatnonzero(~data.channels.rates):
+        k = (int(data.channels.axis[row]) - axis) % 3 - 1
+        if k >= 0:
+            zeros = [np.full(len(data.time), float(k == n)) for n in range(2)]
+            each = [(one.real, -one.imag) if k == 0 else (one.imag, one.real) for one in parts.values()]
+            columns.append(np.stack([*zeros, *(column for pair in each for column in pair)], axis=1))
+            rows.append(data.observed[row])
+    if not rows or not parts:
+        return {}
+    solved = np.linalg.lstsq(np.concatenate(columns), np.concatenate(rows), rcond=None)[0][2:]
+    return {name: complex(solved[2 * k], solved[2 * k + 1]) for k, name in enumerate(parts)}
+
+
+def _outward(felt: Mapping[str, complex], axis: int, rotation: Rotation) -> tuple[Array, list[str]]:
+    """The direction of the radius in the case, as stated, or as the accelerometers tell it, and what is to be said."""
+    if not rotation.radius:
+        return np.zeros(3), []
+    if rotation.outward is not None:
+        return signed(rotation.outward), []
+    if not felt.get("outward"):
+        return np.zeros(3), []
+    direction, found = felt["outward"] / abs(felt["outward"]), np.zeros(3)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    found[first], found[second] = direction.real, direction.imag
+    angle = math.degrees(math.atan2(direction.imag, direction.real))
+    return found, [
+        f"radius: nobody states which way the case sits; by its accelerometers outward is {angle:.0f}° from "
+        f"{AXES[first]} towards {AXES[second]}"
+    ]
 
 
 def _shaken(foreign: Foreign, axis: str, band: float) -> list[str]:
@@ -295,15 +358,39 @@ def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
     return 0, ""
 
 
-def _gravity(data: FollowRecords, axis: int, angle: Array, upright: bool) -> tuple[float, float]:
-    """Which way up an upright axis stands, or the angle at which gravity's side lies, from the accelerometers."""
-    means = {}
-    for row in np.flatnonzero(~data.channels.rates):
-        means[int(data.channels.axis[row])] = data.observed[row]
-    if upright:
-        return (-1.0 if axis in means and float(means[axis].mean()) < 0.0 else 1.0), 0.0
-    first, second = (means.get((axis + k) % 3, np.zeros(len(angle))) for k in (1, 2))
-    return 0.0, float(np.angle(np.sum((first + 1j * second) * np.exp(1j * angle))))
+def _upright(data: FollowRecords, axis: int, stated: Sequence[Stated]) -> Array:
+    """Which way up an upright axis stands, (n,): as stated, elsewhere by the accelerometer along it, else up."""
+    found = np.zeros(len(data.time))
+    for mask, up in stated:
+        found[mask] = np.sign(up[axis])
+    rest = found == 0.0
+    along = np.flatnonzero(~data.channels.rates & (data.channels.axis == axis))
+    if rest.any():
+        down = len(along) and float(data.observed[along[-1], rest].mean()) < 0.0
+        found[rest] = -1.0 if down else 1.0 if len(along) or not stated else np.sign(stated[0][1][axis]) or 1.0
+    return found
+
+
+def _phase(felt: Mapping[str, complex], axis: int, angle: Array, stated: Sequence[Stated]) -> float:
+    """The angle at which gravity's side of a level axis lies: as stated, else by the accelerometers across it."""
+    for mask, up in stated:
+        side = complex(up[(axis + 1) % 3], up[(axis + 2) % 3])
+        if side and mask.any():
+            return float(np.angle(side * np.mean(np.exp(1j * angle[mask]))))
+    return float(np.angle(felt.get("gravity", 0.0)))
+
+
+def _against(data: FollowRecords, stated: Sequence[Stated]) -> list[str]:
+    """Statements of what is up that the accelerometers contradict."""
+    said = []
+    for mask, up in stated:
+        axis = int(np.abs(up).argmax())
+        for row in np.flatnonzero(~data.channels.rates & (data.channels.axis == axis)):
+            mean = float(data.observed[row, mask].mean()) if mask.any() else 0.0
+            if mean * float(up[axis]) < -0.5 * data.gravity:
+                name, which = data.channels.names[row], "+" if up[axis] > 0.0 else "-"
+                said.append(f"{name} shows {mean:.3g} m/s² while the manifest has {which}{AXES[axis]} up")
+    return said
 
 
 def _bands(foreign: Foreign, track: AngleTrack | PoseTrack) -> tuple[float, float]:

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.manifest import Column, Segment
+from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import Array
 from rig.parts.poses import PARAMETERS, PosedRecords
 from rig.signals.noise import NoiseModel, fit_density
 from rig.signals.spectrum import Density
+from rig.units import STANDARD_GRAVITY
 
 LEAST = 32  # samples of a part at rest that says something about noise
 BINS = 10.0  # per decade of frequency
@@ -47,6 +48,13 @@ class Interval:
     u_angle: float = 0.0
     held: bool = False
     rest: bool = False  # of a pose whose beginning is another interval
+    up: Signed | None = None
+    label: str = ""
+
+    @property
+    def words(self) -> str:
+        """What it is called."""
+        return self.label or f"rows {self.first} to {self.last - 1}"
 
     @property
     def turns(self) -> bool:
@@ -127,19 +135,28 @@ def _named(one: Segment, rows: int, run: str) -> Interval:
     if one.last > rows:
         raise BadInput(f"{run}: found a segment up to row {one.last}, wanted at most {rows}")
     angle = [one.angle or 0.0 if axis == one.turn else 0.0 for axis in "xyz"]
-    return Interval(one.first, one.last, (angle[0], angle[1], angle[2]), one.angle_uncertainty)
+    return Interval(
+        one.first, one.last, (angle[0], angle[1], angle[2]), one.angle_uncertainty, up=one.up, label=one.label
+    )
 
 
 def _faults(named: Sequence[Interval], shown: Array, channels: Channels, rate: float) -> list[str]:
-    """Turns that a gyro shows the other way round."""
+    """Turns that a gyro shows the other way round, and poses that an accelerometer does."""
     said = []
     for one in named:
+        for c in channels.of("acceleration") if one.up is not None and not one.turns else ():
+            felt = _mean(shown[c, one.first : one.last])
+            if felt * float(signed(one.up)[int(channels.axis[c])]) < -0.5 * STANDARD_GRAVITY:
+                said.append(
+                    f"{channels.names[c]} shows {felt:.3g} m/s² in {one.words}, stated with {one.up} up: the sign of "
+                    "its axis or of the statement is wrong"
+                )
         for c in channels.of("rate"):
             stated = one.angle[int(channels.axis[c])]
             seen = float(np.nansum(shown[c, one.first : one.last])) / rate
             if stated * seen < 0.0 and abs(seen) > 0.5 * abs(stated):
                 said.append(
-                    f"{channels.names[c]} shows {math.degrees(seen):.0f}° in a turn stated as "
+                    f"{channels.names[c]} shows {math.degrees(seen):.0f}° in {one.words}, stated as "
                     f"{math.degrees(stated):.0f}°: the sign of its axis or of the angle is wrong"
                 )
     return said
@@ -172,9 +189,16 @@ def _held(intervals: Sequence[Interval], share: float) -> tuple[list[Interval], 
     return [*pieces, *turns], said
 
 
+def signed(axis: Signed | None) -> Array:
+    """Unit vector of an axis of the case such as "-x", (3,); not a number where nobody says."""
+    if axis is None:
+        return np.full(3, math.nan)
+    return np.asarray((-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[1])], np.float64)
+
+
 def _cut(one: Interval, share: float) -> list[Interval]:
     middle = one.last - round(share * (one.last - one.first))
-    return [Interval(one.first, middle), Interval(middle, one.last, held=True, rest=True)]
+    return [replace(one, last=middle), replace(one, first=middle, held=True, rest=True)]
 
 
 def _means(
@@ -190,7 +214,8 @@ def _means(
     variance = np.zeros_like(observed)
     for here in (channels.of("acceleration"), channels.of("rate")):
         models = noises_at_rest([[numbers[c][part] for part in rest] for c in here], rate)
-        variance[here] = np.array([_variance(one, begin, seconds) for one in models]).reshape(len(here), -1)
+        for c, model in zip(here, models, strict=True):
+            variance[c] = _variance(model, begin, seconds)
     still = np.array([not one.turns and not one.rest for one in intervals])
     floor, said = _floor(channels, observed, variance, still)
     conditions = {
@@ -204,6 +229,7 @@ def _means(
         variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
         u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
         held=np.array([one.held for one in intervals]), gravity=gravity.value, u_gravity=gravity.uncertainty,
+        up=np.stack([signed(one.up) for one in intervals], axis=1),
         notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
     )  # fmt: skip
 

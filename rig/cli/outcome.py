@@ -101,7 +101,10 @@ def _imported_lines(records: Records) -> list[str]:
     made, summary = data.manifest, records.run.summary()
     files = f"{summary['points_done']} of {summary['points_total']} files"
     lines = [f"run {records.name}", f"  {records.header['title']}: {summary['status']}, {files}"]
+    if unit := " ".join(part for part in (made.unit.maker, made.unit.model) if part):
+        lines += [f"  unit {made.unit.serial}: {unit}"]
     lines += [f"  from {made.provenance.source}, {made.provenance.licence}"]
+    lines += [f"  {text}" for text in (made.provenance.citation, made.provenance.note) if text]
     lines += [f"  {t.label}: {len(t.values)} rows{', held out' if t.held_out else ''}" for t in data.tables]
     lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
     lines += [f"  found on import: {text}" for text in data.found]

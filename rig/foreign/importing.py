@@ -149,6 +149,8 @@ def _places(made: Manifest) -> Iterator[tuple[KeyPath, str]]:
 def _of_segments(document: Document, made: Manifest, files: Sequence[File]) -> Iterator[Problem]:
     shortest = min((len(file.table.values) for file in files), default=0)
     for number, one in enumerate(made.segments):
+        if made.kind == "rotation" and one.up is None:
+            yield document.problem(("segments", number), "found no key 'up', wanted it to say how the case stood")
         if files and one.last > shortest:
             text = f"found row {one.last}, wanted at most {shortest}, which is where the file ends"
             yield document.problem(("segments", number, "last"), text)

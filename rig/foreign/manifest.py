@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rig import units
 from rig.errors import ConfigError, Problem
+from rig.foreign import meaning
 from rig.units import Acceleration, Angle, Frequency, Length, Ratio, Time
 from rig.yaml import config
 from rig.yaml.document import Document
@@ -273,6 +274,8 @@ def mistakes(document: Document, made: Manifest) -> Iterator[Problem]:
     """What the types cannot say."""
     yield from _of_columns(document, made)
     yield from _of_kind(document, made)
+    yield from _of_rotation(document, made)
+    yield from _unread(document, made)
     if made.reading.decimal == made.reading.delimiter:
         yield document.problem(
             ("reading",), "found the comma as delimiter and as decimal sign, wanted another delimiter"
@@ -342,11 +345,73 @@ def _of_kind(document: Document, made: Manifest) -> Iterator[Problem]:
         yield document.problem(("columns",), "found no reference, wanted a column with role: reference")
     if made.kind not in ("response",) and made.time is None:
         yield document.problem((), "found no key 'time', wanted a column of time stamps, a rate or an interval")
+    if len(made.files) > 1 and made.segments and made.kind in ("poses", "rotation"):
+        yield document.problem(("segments",), f"found segments and {len(made.files)} files, wanted one file")
     for number, one in enumerate(made.segments):
         if one.last <= one.first:
             yield document.problem(("segments", number, "last"), f"found {one.last}, wanted more than {one.first}")
         if (one.turn is None) != (one.angle is None):
             yield document.problem(("segments", number), "found turn or angle alone, wanted both")
+
+
+def _of_rotation(document: Document, made: Manifest) -> Iterator[Problem]:
+    """Axes and radius of a rotation that do not go together, and segments that do not lie on its axis."""
+    turned = made.rotation
+    if made.kind != "rotation" or turned is None:
+        return
+    for key in ("outward", "radius_uncertainty"):
+        if getattr(turned, key) and not turned.radius:
+            yield document.problem(("rotation", key), f"found '{getattr(turned, key)}' without a radius, wanted one")
+    if turned.outward is not None and turned.outward[1] == turned.axis:
+        yield document.problem(
+            ("rotation", "outward"), f"found '{turned.outward}', wanted an axis across {turned.axis}"
+        )
+    if turned.lines is not None and made.of("reference", "angle"):
+        yield document.problem(("rotation", "lines"), "found lines beside an angle, wanted one of them")
+    for number, one in enumerate(made.segments):
+        if one.turn is not None:
+            yield document.problem(("segments", number, "turn"), f"found '{one.turn}', wanted nothing in a rotation")
+        if one.up is not None and (one.up[1] == turned.axis) != turned.upright:
+            wanted = f"+{turned.axis} or -{turned.axis}" if turned.upright else f"an axis across {turned.axis}"
+            yield document.problem(("segments", number, "up"), f"found '{one.up}', wanted {wanted}")
+
+
+def _unread(document: Document, made: Manifest) -> Iterator[Problem]:
+    """Keys that would change nothing."""
+    inner = {f"gravity.{name}" for name in made.gravity.model_fields_set}
+    inner |= {f"compared.{name}" for name in made.compared.model_fields_set}
+    for key, wanted in meaning.of_file(made.kind, made.model_fields_set | inner):
+        yield document.problem(tuple(key.split(".")), f"found '{key.split('.')[-1]}', {wanted}")
+    for number, one in enumerate(made.columns):
+        at = ("columns", number)
+        for key, wanted in meaning.of_column(made.kind, one.role, one.quantity, one.model_fields_set):
+            yield document.problem((*at, key), f"found '{key}', {wanted}")
+        if "coverage" in one.model_fields_set and one.uncertainty is None and one.uncertainty_column is None:
+            yield document.problem((*at, "coverage"), "found it alone, wanted an uncertainty that it covers")
+        if one.uncertainty is not None and one.uncertainty_column is not None:
+            yield document.problem((*at, "uncertainty"), "found it beside uncertainty_column, wanted one of them")
+    yield from _together(document, made)
+    base = made.time
+    if base is not None and base.column is None:
+        for key in sorted(base.model_fields_set & {"unit", "jitter"}):
+            yield document.problem(("time", key), f"found '{key}' without a column of time stamps, wanted one")
+
+
+def _together(document: Document, made: Manifest) -> Iterator[Problem]:
+    """What belongs to a whole reference, of which one column says it and another says otherwise."""
+    groups: dict[str, list[tuple[str, ...]]] = {
+        "rotation": [("line_a", "line_b", "index_line")],
+        "motion": [("position", "quaternion"), ("position",)],
+    }
+    for quantities in groups.get(made.kind, ()):
+        there = [
+            (k, one) for k, one in enumerate(made.columns) if one.role == "reference" and one.quantity in quantities
+        ]
+        for key in ("delay", "gain_uncertainty") if len(quantities) != 2 else ("delay",):
+            for number, one in there[1:]:
+                if getattr(one, key) != getattr(there[0][1], key):
+                    said = f"found another {key} than that of {there[0][1].channel}, wanted one for the whole reference"
+                    yield document.problem(("columns", number), said)
 
 
 def as_json(made: Manifest) -> dict[str, Any]:

@@ -98,7 +98,8 @@ def _ratio(foreign: Foreign, table: Table, device: Mapping[str, Column]) -> tupl
         return np.asarray(size * np.exp(1j * turn)), u_size, u_turn, device["magnitude"]
     real, imaginary = (foreign.si(table, device[name]) for name in ("real", "imaginary"))
     us = [foreign.u(table, device[name]) for name in ("real", "imaginary")]
-    either = np.zeros(len(real)) if us[0] is None else us[0]
+    stated = [u for u in us if u is not None] or [np.zeros(len(real))]
+    either = np.sqrt(np.mean(np.square(stated), axis=0))
     ratio = real + 1j * imaginary
     return np.asarray(ratio), either, either / np.abs(ratio), device["real"]
 

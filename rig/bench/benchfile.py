@@ -104,6 +104,13 @@ class SensorChannel(Strict):
     temperature_coefficient: Ratio | None = Field(default=None, description="of the sensitivity, per kelvin")
     beside_spot: Length | None = Field(default=None, description="to the side of the vibrometer's spot on the shaker")
 
+    @field_validator("range")
+    @classmethod
+    def _readable(cls, text: str, info: Any) -> str:
+        if "quantity" in info.data:  # else the quantity itself is the mistake
+            units.parse(text, info.data["quantity"])
+        return text
+
     @property
     def sensitivity_si(self) -> float:
         """V/(m/s²) or V/(rad/s)."""

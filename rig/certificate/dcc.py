@@ -155,7 +155,8 @@ def _equipment(measured: ET.Element, calibration: Calibration) -> None:
         one = _add(parent, "measuringEquipment", refType="basic_measurementStandard")
         _text(one, "name", row["name"])
         overdue = " USED PAST ITS DUE DATE BY EXPLICIT ORDER." if row["overdue"] else ""
-        stated = f"Certificate {row['certificate']} of {row['laboratory']}, due {row['due']}. {row['values']}".rstrip()
+        dates = f"calibrated {row['calibrated']}, due {row['due']}"
+        stated = f"Certificate {row['certificate']} of {row['laboratory']}, {dates}. {row['values']}".rstrip()
         _text(one, "description", stated + overdue)
         _add(one, "model", printable(row["instrument"], "digital certificate: model"))
         _identification(one, "manufacturer", row["serial"], "Serial number", "basic_serialNumber")

@@ -133,6 +133,7 @@ def standard_rows(calibration: Calibration) -> list[dict[str, str]]:
     return [
         {name: str(standard.get(name, "not stated")) for name in ("instrument", "serial", "laboratory", "certificate")}
         | {"name": str(standard.get("standard", "standard")), "due": str(standard.get("due", "not stated"))}
+        | {"calibrated": str(standard.get("calibrated", "not stated"))}
         | {"overdue": "yes" if standard.get("standard") in calibration.overdue else ""}
         | {"values": "; ".join(_stated(name, v) for name, v in dict(standard.get("values", {})).items())}
         for standard in calibration.standards

@@ -90,6 +90,7 @@ def _standard_rows(
             "standard": s.standard,
             "instrument": s.instrument,
             "certificate": s.certificate,
+            "calibrated": s.calibrated.isoformat(),
             "due": s.due.isoformat(),
             "overdue": s.standard in late,
         }
@@ -117,7 +118,8 @@ def _print_report(report: dict[str, Any]) -> None:
             click.echo(f"  {'':<11} error queue: {error}")
     for row in report["standards"]:
         due = f"OVERDUE since {row['due']}" if row["overdue"] else f"due {row['due']}"
-        click.echo(f"  {row['standard']:<11} {row['instrument']}, certificate {row['certificate']}, {due}")
+        dates = f"calibrated {row['calibrated']}, {due}"
+        click.echo(f"  {row['standard']:<11} {row['instrument']}, certificate {row['certificate']}, {dates}")
     if report["optical_level"] is not None:
         click.echo(f"  {'beam':<11} optical level {report['optical_level']} of 40")
     click.echo("next: rig sweep --axis x")

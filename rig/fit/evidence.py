@@ -9,6 +9,7 @@ import numpy as np
 
 from rig.archive.records import Recorded, experiments
 from rig.errors import BadInput
+from rig.estimate.ranges import beyond_range
 from rig.fit.fit import Fit, State, begin, fit
 from rig.foreign.tables import foreign_of, is_foreign
 from rig.model import Term
@@ -119,6 +120,10 @@ def _notes(runs: Sequence[Recorded], parts: Sequence[Part]) -> Iterator[str]:
             yield from one.notes
         elif isinstance(one, Sines | Turning):
             yield from one.data.notes
+            if (
+                own := next((run for run in runs if run.name == one.data.run and not is_foreign(run)), None)
+            ) is not None:
+                yield from beyond_range(own, one)
     for part in sines:
         bad = [n for n, usable in zip(part.channels.names, part.data.usable, strict=True) if not usable.all()]
         if bad:

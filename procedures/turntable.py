@@ -11,14 +11,19 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from rig import units
 from rig.bench.steps import Ask, BenchFacts, Mistake, Plan, Spin, Static, Step, cables_request
+from rig.errors import BadInput
 from rig.room import Request
 from rig.units import Angle, Length, Rate, Time
 
 LINES = 1000  # encoder lines per revolution
-SPEEDS = (100.0 / 3.0, 45.0)  # rpm
+SPELLED = {"33 1/3 rpm": 100.0 / 3.0, "45 rpm": 45.0}
+SPEEDS = tuple(SPELLED.values())  # rpm
+WANTED = " or ".join(SPELLED)
+FINEST = 6  # digits of a speed that is written out
 RPM = 2.0 * math.pi / 60.0
 RAD_TO_DEG = 180.0 / math.pi
 PERTURBATIONS = (-0.06, -0.03, 0.03)  # of the rate; a light touch, as the paper used
@@ -30,7 +35,7 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     procedure: Literal["turntable"] = "turntable"
     title: str = ""
-    speed: Rate = Field(default=45.0 * RPM, description="33 1/3 rpm or 45 rpm")
+    speed: Rate = Field(default=45.0 * RPM, description=WANTED)
     axis: Literal["pitch", "roll", "yaw"] = Field(default="yaw", description="gyro axis on the platter's axis")
     inverted: bool = Field(default=False, description="the cube upside down: the other sense")
     all: bool = Field(default=False, description="also the other speed, and both again in the other sense")
@@ -39,6 +44,30 @@ class Settings(BaseModel):
     rest: Time = Field(default=30.0, description="record at rest before and after")
     radius: Length = Field(default=0.05, ge=0, le=0.14, description="of the cube's centre from the platter's axis")
     angle: Angle = Field(default=0.0, description="of the cube about the platter's axis")
+
+    @field_validator("speed")
+    @classmethod
+    def _as_selected(cls, speed: float) -> float:
+        """A speed of the selector by any of its spellings, rad/s; another one stays as it is and is a mistake."""
+        return selected(speed / RPM, speed / RPM) * RPM
+
+
+def selected(rpm: float, otherwise: float = math.nan) -> float:
+    """The speed of the selector that a number spells, whole or cut after any digit (33, 33.3, 33.33 is 100/3), rpm."""
+    spelled = ((speed, round(speed, digits)) for speed in SPEEDS for digits in range(FINEST + 1))
+    return next((speed for speed, spelling in spelled if abs(rpm - spelling) < 10.0**-FINEST), otherwise)
+
+
+def speed_of(text: str) -> str:
+    """The selector's speed that a text means, with or without unit. Raises BadInput with the speeds there are."""
+    for spelling in (f"{text} rpm", text):
+        try:
+            rpm = selected(units.parse(spelling, "rate") / RPM)
+        except units.UnitError:
+            continue
+        if math.isfinite(rpm):
+            return next(name for name, speed in SPELLED.items() if speed == rpm)
+    raise BadInput(f"found '{text}', wanted a speed of the turntable: {WANTED}")
 
 
 def expand(settings: Settings, facts: BenchFacts) -> Plan:
@@ -102,8 +131,8 @@ def _rest(settings: Settings, when: str) -> Static:
 
 def _mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake]:
     rpm = settings.speed / RPM
-    if all(abs(rpm - speed) > 0.5 for speed in SPEEDS):
-        yield Mistake(("speed",), f"found {rpm:.4g} rpm, wanted 33 1/3 rpm or 45 rpm")
+    if not math.isfinite(selected(rpm)):
+        yield Mistake(("speed",), f"found {rpm:.4g} rpm, wanted {WANTED}")
     lines = rpm / 60.0 * LINES
     if lines * 2 > facts.scan_rate:
         yield Mistake(

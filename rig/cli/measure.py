@@ -50,7 +50,7 @@ def sweep(axis: str, levels: str | None, hold: str | None, **options: Any) -> No
 
 
 @click.command(short_help="Turn the cube on the platter at 33 1/3 or 45 rpm.")
-@click.option("--rpm", type=click.Choice(["33", "33 1/3", "33.3", "45"]), default="45", show_default=True)
+@click.option("--rpm", metavar="SPEED", default="45", show_default=True, help="33 1/3 (also as 33 or 33.3) or 45.")
 @click.option("--axis", type=click.Choice(["pitch", "roll", "yaw"]), default="yaw", show_default=True)
 @click.option("--invert", is_flag=True, help="The cube upside down: the other sense.")
 @click.option("--all", "everything", is_flag=True, help="Both speeds in both senses.")
@@ -61,11 +61,23 @@ def sweep(axis: str, levels: str | None, hold: str | None, **options: Any) -> No
 @measuring
 def turntable(rpm: str, axis: str, invert: bool, everything: bool, perturb: bool, **options: Any) -> None:
     """Turn the gyros on the platter against the encoder."""
-    speed = "45 rpm" if rpm == "45" else "33 1/3 rpm"
+    speed = _speed(rpm)
     document: dict[str, Any] = {"procedure": "turntable", "speed": speed, "axis": axis}
     document |= {key: True for key, on in (("inverted", invert), ("all", everything), ("perturb", perturb)) if on}
     document |= _given(options, "revolutions", "rest", "radius")
-    _measure_document(document, f"turntable-{axis}-{rpm.split()[0]}", options)
+    _measure_document(document, f"turntable-{axis}-{speed.split()[0]}", options)
+
+
+def _speed(text: str) -> str:
+    """The turntable's speed that was spelled. Raises BadInput with the speeds that it has."""
+    import importlib
+
+    from rig.errors import BadInput
+
+    try:
+        return str(importlib.import_module("procedures.turntable").speed_of(text))
+    except BadInput as error:
+        raise BadInput(f"--rpm: {error}") from None
 
 
 @click.command(short_help="Record everything at rest.")

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from procedures.turntable import Settings, expand
+from procedures.turntable import Settings, expand, speed_of
 from rig.bench.benchfile import describe
 from rig.bench.steps import Ask, BenchFacts, Plan, Spin, Static
+from rig.errors import BadInput
 from rig.yaml.config import shipped
 
 BENCH = describe(shipped("benches/simulated.yaml")).facts()
@@ -92,6 +93,26 @@ def test_every_mistake_is_told_at_once_with_its_key(facts: BenchFacts) -> None:
     plan = expand(made(speed="78 rpm", rest="0.5 s"), replace(facts, has=frozenset()))
     assert [mistake.path for mistake in plan.mistakes] == [("speed",), ("rest",), ("procedure",), ("procedure",)]
     assert "found 78 rpm, wanted 33 1/3 rpm or 45 rpm" in plan.mistakes[0].text
+
+
+THIRTY_THREE = ("33", "33.3", "33.33", "33.333", "33.3333333", "33 1/3", "33⅓", "33 ⅓", "100/3", "200 °/s")
+
+
+@pytest.mark.parametrize("text", THIRTY_THREE)
+def test_any_spelling_of_a_speed_is_the_selectors_own(text: str, facts: BenchFacts) -> None:
+    assert speed_of(text) == speed_of(f"{text} rpm".replace("°/s rpm", "°/s")) == "33 1/3 rpm"
+    plan = expand(made(speed=text if "°" in text else f"{text} rpm"), facts)
+    assert not plan.mistakes
+    assert all(abs(spin.rpm - 100.0 / 3.0) < 1e-9 for spin in spins(plan))  # the selector takes no other
+
+
+@pytest.mark.parametrize("text", ["33.4", "34", "32", "45.1", "0", "-45", "78", "33 1/2", "fast", ""])
+def test_a_speed_that_the_turntable_lacks_is_refused_with_those_it_has(text: str, facts: BenchFacts) -> None:
+    with pytest.raises(BadInput, match="wanted a speed of the turntable: 33 1/3 rpm or 45 rpm"):
+        speed_of(text)
+    if text not in ("fast", ""):
+        mistakes = expand(made(speed=f"{text} rpm"), facts).mistakes
+        assert "wanted 33 1/3 rpm or 45 rpm" in mistakes[0].text
 
 
 def test_a_converter_too_slow_for_the_encoder_lines_is_a_mistake(facts: BenchFacts) -> None:

@@ -28,8 +28,24 @@ def shelf(folder: Path | None = None) -> Mapping[str, Effect]:
 
     Raises BadInput for a file that does not hold exactly one effect.
     """
-    own = folder if folder is not None else Path(os.environ[FOLDER]) if os.environ.get(FOLDER) else None
+    own = _folder(folder)
     return MappingProxyType({**_shipped(), **(_own(own) if own is not None else {})})
+
+
+def own_names(folder: Path | None = None) -> frozenset[str]:
+    """Names of the effects of a user's folder (or of RIG_EFFECTS)."""
+    own = _folder(folder)
+    return frozenset(path.stem for path in _files(own)) if own is not None else frozenset()
+
+
+def _folder(given: Path | None) -> Path | None:
+    if given is not None:
+        return given
+    return Path(os.environ[FOLDER]) if os.environ.get(FOLDER) else None
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("[a-z]*.py"))
 
 
 def effect_of(name: str, folder: Path | None = None) -> Effect:
@@ -38,8 +54,8 @@ def effect_of(name: str, folder: Path | None = None) -> Effect:
 
     found = shelf(folder)
     if name not in found:
-        near = difflib.get_close_matches(name, found, 3) or sorted(found)
-        raise BadInput(f"effect: found '{name}', wanted one of the shelf such as {', '.join(near)}")
+        near = difflib.get_close_matches(name, found, 3) or sorted(found)[:3]
+        raise BadInput(f"effect: found '{name}', wanted one of the shelf such as {', '.join(near)} (`rig effects`)")
     return found[name]
 
 
@@ -57,7 +73,7 @@ def _shipped() -> Mapping[str, Effect]:
 def _own(folder: Path) -> dict[str, Effect]:
     if not folder.is_dir():
         raise BadInput(f"{folder}: found no folder, wanted one with effects, one file each")
-    return {path.stem: _only(_loaded(path), path.stem, str(path)) for path in sorted(folder.glob("[a-z]*.py"))}
+    return {path.stem: _only(_loaded(path), path.stem, str(path)) for path in _files(folder)}
 
 
 def _loaded(path: Path) -> ModuleType:

@@ -36,6 +36,7 @@ COMMANDS = {
     "remove": ("repair", "Take an effect out of a model and refit."),
     "fit": ("repair", "Fit a model to runs and keep it in its file."),
     "history": ("repair", "The ladder of a model's repair, as table and figure."),
+    "effects": ("effects", "The shelf of effects, and the page of each."),
     "next": ("investigate", "Which measurement would decide what is still open."),
     "floor": ("investigate", "Measure the bench's own ripple from remounts."),
     "investigate": ("investigate", "Measure, diagnose, and go on until adequate or undecidable."),

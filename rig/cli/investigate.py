@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rig.cli.options import bench_option, bench_path, json_option, print_json, runs_option
-from rig.cli.repair import EFFECTS, MODEL, RUN_NAMES, START, Opened, model_options, opened
+from rig.cli.options import bench_option, bench_path, effects_option, json_option, print_json, runs_option
+from rig.cli.repair import MODEL, RUN_NAMES, START, Opened, model_options, opened
 
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts
@@ -229,7 +229,7 @@ def _lacking_text(lacking: Sequence[tuple[str, str]]) -> list[str]:
 @click.option("--only", type=click.Choice(["shaker", "turntable"]), help="Use this half of the bench only.")
 @MODEL
 @START
-@EFFECTS
+@effects_option
 @runs_option
 @json_option
 def investigate(

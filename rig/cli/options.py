@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import click
 
+from rig.cli.onward import Carried
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -18,6 +20,7 @@ def bench_option(command: F) -> F:
     return click.option(
         "--bench",
         "bench",
+        cls=Carried,
         type=click.Path(dir_okay=False, path_type=Path),
         envvar="RIG_BENCH",
         help="Bench file [default: ./bench.yaml if it exists, else the simulated bench].",
@@ -29,11 +32,23 @@ def runs_option(command: F) -> F:
     return click.option(
         "--runs",
         "runs",
+        cls=Carried,
         type=click.Path(file_okay=False, path_type=Path),
         envvar="RIG_RUNS",
         default=Path("runs"),
         show_default=True,
         help="Folder of the runs (or RIG_RUNS).",
+    )(command)
+
+
+def effects_option(command: F) -> F:
+    """Effects of the user's own."""
+    return click.option(
+        "--effects",
+        cls=Carried,
+        type=click.Path(file_okay=False, path_type=Path),
+        envvar="RIG_EFFECTS",
+        help="Folder with effects of your own, one file each (or RIG_EFFECTS).",
     )(command)
 
 

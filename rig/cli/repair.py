@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rig.cli.options import json_option, print_json, runs_option
+from rig.cli.options import effects_option, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
     from rig.diagnose.conclusion import Candidate, Conclusion
@@ -33,18 +33,12 @@ START = click.option(
     help="Where a new model starts: the data sheet's, the paper's without output filter, or one with a single "
     "sensitivity for all axes [default: datasheet].",
 )
-EFFECTS = click.option(
-    "--effects",
-    type=click.Path(file_okay=False, path_type=Path),
-    envvar="RIG_EFFECTS",
-    help="Folder with effects of your own, one file each (or RIG_EFFECTS).",
-)
 ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
 
 
 def model_options(command: F) -> F:
     """Everything that says which model is meant, and where the runs are."""
-    options = (MODEL, START, EFFECTS, runs_option, json_option)
+    options = (MODEL, START, effects_option, runs_option, json_option)
     return functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 

@@ -7,8 +7,6 @@ file: what a YAML file says cannot make code run that the user has not put there
 from __future__ import annotations
 
 import importlib
-import importlib.util
-import inspect
 import os
 import pkgutil
 from collections.abc import Mapping
@@ -16,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 
-from rig import effects
+from rig import effects, own_effects
 from rig.errors import BadInput
 from rig.model import Effect, Quantity, Term
 
@@ -26,7 +24,7 @@ FOLDER = "RIG_EFFECTS"
 def shelf(folder: Path | None = None) -> Mapping[str, Effect]:
     """Every effect by name; those of a user's folder (or of RIG_EFFECTS) beside and before the shipped ones.
 
-    Raises BadInput for a file that does not hold exactly one effect.
+    Raises BadInput, with file and line, for what is wrong in a user's file.
     """
     own = _folder(folder)
     return MappingProxyType({**_shipped(), **(_own(own) if own is not None else {})})
@@ -67,32 +65,16 @@ def nothing_of(effect: Effect, on: Quantity | None) -> Term:
 @lru_cache(maxsize=1)
 def _shipped() -> Mapping[str, Effect]:
     names = sorted(one.name for one in pkgutil.iter_modules(effects.__path__))
-    return {name: _only(importlib.import_module(f"rig.effects.{name}"), name, f"rig.effects.{name}") for name in names}
+    return {name: _only(importlib.import_module(f"rig.effects.{name}"), name) for name in names}
 
 
 def _own(folder: Path) -> dict[str, Effect]:
     if not folder.is_dir():
         raise BadInput(f"{folder}: found no folder, wanted one with effects, one file each")
-    return {path.stem: _only(_loaded(path), path.stem, str(path)) for path in _files(folder)}
+    return {path.stem: own_effects.load(path) for path in _files(folder)}
 
 
-def _loaded(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"own_effects.{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise BadInput(f"{path}: found no Python file, wanted one with an effect")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _only(module: ModuleType, name: str, where: str) -> Effect:
-    kinds = [
-        kind
-        for _, kind in inspect.getmembers(module, inspect.isclass)
-        if issubclass(kind, Effect) and kind is not Effect and kind.__module__ == module.__name__
-    ]
-    if len(kinds) != 1:
-        raise BadInput(f"{where}: found {len(kinds)} effects, wanted one in the file")
-    kind = kinds[0]
+def _only(module: ModuleType, name: str) -> Effect:
+    kind = next(kind for kind in own_effects.kinds_in(module) if kind.__module__ == module.__name__)
     kind.name = name
     return kind()

@@ -15,13 +15,14 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from types import MappingProxyType
 from typing import ClassVar, cast
 
 import numpy as np
 
+from rig import units as spelled
 from rig.dimensions import Dimension, dimension_of, solve, unknown
 from rig.errors import BadInput
 from rig.model import EVERYWHERE, SI, Array, Channels, Coordinate, Effect, Motion, Parameter, Quantity, Term, Values
@@ -59,6 +60,46 @@ _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = MappingP
     {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power}
 )
 _WANTED = "numbers, names, + - * / **, parentheses and the functions " + " ".join(FUNCTIONS)
+
+
+@dataclass(frozen=True)
+class OwnTerm:
+    """A term of one's own as a person gives it.
+
+    `text` of the formula; `starts` of coefficients, SI; `units` (of m, s, rad, K, V) of coefficients as far as stated;
+    `channels` that alone feel it, () for all of a quantity.
+    """
+
+    text: str
+    starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
+
+
+def own_term(text: str, starts: Sequence[str] = (), channels: Sequence[str] = ()) -> OwnTerm:
+    """A term whose starts are given as `tau=10 s`, several for one coefficient if wanted. Raises BadInput."""
+    values: dict[str, tuple[float, ...]] = {}
+    units: dict[str, str] = {}
+    for given in starts:
+        name, value, unit = _start(given)
+        values[name] = (*values.get(name, ()), value)
+        units |= {name: unit} if unit else {}
+    return OwnTerm(text, values, units, tuple(channels))
+
+
+def _start(text: str) -> tuple[str, float, str]:
+    """Name, SI value and SI unit of `tau=10 ms`; '' for a unit that is not stated."""
+    name, _, quantity = (part.strip() for part in text.partition("="))
+    found = re.fullmatch(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*)", quantity)
+    number = float(found[1]) if found else math.nan
+    if not name or found is None or not math.isfinite(number):
+        raise BadInput(f"start: found '{text}', wanted a coefficient, its value and its unit such as 'tau=10 s'")
+    if not found[2] or dimension_of(found[2]) is not None:
+        return name, number, found[2]
+    for kind in spelled.KINDS.values():
+        if found[2] in kind.units and dimension_of(kind.si.symbol or "1") is not None:
+            return name, spelled.parse(quantity, kind.name), kind.si.symbol or "1"
+    raise BadInput(f"start: found the unit '{found[2]}' of {name}, wanted one such as 's', 'ms', 'm/s²' or '1/V'")
 
 
 @dataclass(frozen=True)
@@ -157,6 +198,8 @@ def formula_effect(
     return cast(Effect, type("Formula", (FormulaEffect,), members)())
 
 
+_UNIT = "its unit: --start '{name}=VALUE UNIT', in a model file under units"
+_START = "starts for it: --start '{name}=VALUE UNIT', in a model file under values"
 _ANYTHING = (-math.inf, math.inf)
 
 
@@ -337,7 +380,7 @@ def _units(formula: Formula, on: Quantity, stated: Mapping[str, str]) -> dict[st
     for name, dimension in found.items():
         if dimension.unknowns and f"?{name}" not in checking.solved:
             column = next(_column(one) for one in _names(formula.tree) if one.id == name)
-            raise _wrong(column, f"'{name}', whose unit the formula leaves open", f"its unit stated, units {name}=…")
+            raise _wrong(column, f"'{name}', whose unit the formula leaves open", _UNIT.format(name=name))
     return {name: str(dimension) for name, dimension in found.items()}
 
 
@@ -420,7 +463,7 @@ def _coordinates(formula: Formula, starts: Mapping[str, tuple[float, ...]]) -> t
     for name in formula.coefficients:
         if name not in straight and not starts.get(name):
             column = next(_column(one) for one in _names(formula.tree) if one.id == name)
-            raise _wrong(column, f"'{name}', in which the term is not proportional", f"starts for it, starts {name}=…")
+            raise _wrong(column, f"'{name}', in which the term is not proportional", _START.format(name=name))
         own = starts.get(name, (0.0,))
         step = LINEAR_STEP if name in straight else CURVED_STEP * (abs(own[0]) or 1.0)
         made.append(Coordinate(name, step, tuple(own)))

@@ -13,6 +13,7 @@
     - effect: drag                  # a term of one's own; its name is free
       formula: k * omega**2
       on: rate
+      channels: [gyro_yaw]          # left out where all of the kind feel it
       values: {k: 0.001}            # where a fit begins, SI
     covariance: {order: [cubic (acceleration).coefficient], values: [[9.0e-14]]}
     channels: …                     # sensitivity, pole and zero outputs as fitted
@@ -28,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -50,6 +52,7 @@ OUTPUT_FILTER = "output_filter"  # an entry that gives every channel of the pape
 OWN_SENSITIVITY = "own_sensitivity"  # an entry that gives every channel of the shared model a sensitivity of its own
 OF_CHANNELS = (OUTPUT_FILTER, OWN_SENSITIVITY)  # no effects of the shelf but parts of every channel
 DIGITS = 10  # of a value: more is noise that would show as a difference
+NO_STARTS: Mapping[str, tuple[float, ...]] = MappingProxyType({})
 AGREE = 1e-6  # relative: parameters and coordinates that say the same
 
 
@@ -75,12 +78,16 @@ class Value(Strict):
 
 
 class Entry(Strict):
-    """One effect of the shelf, or a term by formula. `values` are starts of the formula's coefficients, SI."""
+    """One effect of the shelf, or a term by formula.
+
+    Of a formula: `values` are starts of its coefficients, SI, and `channels` those that alone feel it.
+    """
 
     effect: str
     formula: str | None = None
     on: Quantity | None = None
     places: tuple[Literal["shaker", "turntable", "rotation", "free", "poses"], ...] | None = None
+    channels: tuple[str, ...] = ()
     units: dict[str, str] = Field(default_factory=dict)
     values: dict[str, float] = Field(default_factory=dict)
     coordinates: dict[str, Coordinate] = Field(default_factory=dict)
@@ -159,7 +166,7 @@ def load(path: Path, shelf: Mapping[str, Effect] | None = None) -> Model:
     With a shelf, effects and their coordinates are checked against it too.
     """
     if not path.exists():
-        raise BadInput(f"{path}: found no model, wanted a file made by `rig fit RUN…` or `rig add EFFECT RUN…`")
+        raise BadInput(f"{path}: found no model, wanted a file made by `rig fit last`")
     document = config.read(path)
     model = config.validate(document, Model)
     problems = sorted(_mistakes(document, model, shelf))
@@ -225,16 +232,27 @@ def _term(entry: Entry, shelf: Mapping[str, Effect]) -> Term:
     return Term(effect, on, at)
 
 
-def effect_of(entry: Entry, shelf: Mapping[str, Effect]) -> Effect:
-    """The effect of the shelf, or the one that the formula makes. Raises BadInput if it is neither."""
+def effect_of(
+    entry: Entry, shelf: Mapping[str, Effect], starts: Mapping[str, tuple[float, ...]] = NO_STARTS
+) -> Effect:  # fmt: skip
+    """The effect of the shelf, or the one that the formula makes. Raises BadInput if it is neither.
+
+    `starts` of a formula's coefficients, SI, go before the entry's own, which are one for each.
+    """
     if entry.formula is not None:
         from rig.formula import formula_effect
 
-        starts = {name: (value,) for name, value in entry.values.items() if value != 0.0}
+        if entry.effect in shelf or entry.effect in OF_CHANNELS:
+            raise BadInput(
+                f"found the name '{entry.effect}' for a formula, which an effect of the shelf has, "
+                "wanted a name of its own (or the effect, without a formula)"
+            )
+        own = {name: (value,) for name, value in entry.values.items()}
         places = tuple(entry.places) if entry.places else EVERYWHERE
         return formula_effect(
-            entry.effect, entry.formula, on=entry.on or "acceleration", places=places, units=entry.units, starts=starts
-        )
+            entry.effect, entry.formula, on=entry.on or "acceleration", places=places, units=entry.units,
+            starts={**own, **starts}, channels=entry.channels,
+        )  # fmt: skip
     if entry.effect not in shelf:
         raise BadInput(f"found '{entry.effect}', wanted {_near(entry.effect, shelf)}")
     return shelf[entry.effect]
@@ -254,7 +272,7 @@ def _mistakes(document: Document, model: Model, shelf: Mapping[str, Effect] | No
         yield document.problem(("covariance", "values"), f"found another shape, wanted {size} rows of {size} numbers")
     for number, entry in enumerate(model.effects):
         at: KeyPath = ("effects", number)
-        if entry.effect in OF_CHANNELS:
+        if entry.effect in OF_CHANNELS and entry.formula is None:
             continue
         if entry.formula is not None and entry.on is None:
             yield document.problem((*at, "on"), "found nothing, wanted acceleration or rate")
@@ -365,6 +383,7 @@ def _entry(fit: Fit, number: int, formulas: Mapping[str, Entry], known: Mapping[
         effect=term.effect.name,
         formula=before.formula if before else None,
         places=before.places if before else None,
+        channels=before.channels if before else (),
         units=before.units if before else {},
         values=before.values if before else {},
         on=term.on if len(term.effect.quantities) > 1 or before else None,

@@ -6,6 +6,7 @@ same runs, so a ladder climbs on one set of data: where the runs have changed si
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,8 @@ from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit
 from rig.fit.floor import Floor, with_floor
 from rig.fit.quality import error_of
-from rig.model import Effect, Quantity, Term
+from rig.formula import OwnTerm
+from rig.model import BOTH, Effect, Quantity, Term
 from rig.repair.model_file import OF_CHANNELS, Action, Entry, Model, Start, Step, load, terms_of, with_fit
 
 SAME = 1e-3  # relative: errors of one model on the same records
@@ -86,21 +88,24 @@ def fitted(bench: Bench, model: Model) -> Repaired:
     return Repaired(made, found, before, made.history[-1])
 
 
-def added(bench: Bench, model: Model, name: str, on: Quantity | None = None, formula: str | None = None) -> Repaired:
+def added(
+    bench: Bench, model: Model, name: str, on: Quantity | None = None, formula: str | OwnTerm | None = None
+) -> Repaired:  # fmt: skip
     """The model with one more effect, from the best of its starts, everything refitted.
 
     `on` chooses the channels of an effect that can act on either kind; by default those where it removes most. With
     `formula` the effect is a term of one's own of this name. Raises BadInput for an effect that cannot be added.
     """
+    own = OwnTerm(formula) if isinstance(formula, str) else formula
+    entry = _entry_of(name, on, own)
+    if own is None and name in OF_CHANNELS:
+        return _with_part(bench, _on_these_runs(bench, model), name)
+    effect = _addable(bench, model, entry, own)
     base = _on_these_runs(bench, model)
-    if name in OF_CHANNELS and formula is None:
-        return _with_part(bench, base, name)
-    entry = Entry(effect=name, formula=formula, on=on)
-    effect = _addable(bench, base.model, entry)
     term, known, remarks, after = (_by_test if effect.looks_in else _by_score)(bench, base, effect, on)
-    if formula is not None:
-        own = entry.model_copy(update={"on": term.on})
-        model_with = base.model.model_copy(update={"effects": (*base.model.effects, own)})
+    if own is not None:
+        written = entry.model_copy(update={"on": term.on})
+        model_with = base.model.model_copy(update={"effects": (*base.model.effects, written)})
     else:
         model_with = base.model
     everything = {**_known(bench, base.model), **({name: known} if known else {})}
@@ -147,13 +152,42 @@ def _on_these_runs(bench: Bench, model: Model) -> Repaired:
     return fitted(bench, model)
 
 
-def _addable(bench: Bench, model: Model, entry: Entry) -> Effect:
+def _entry_of(name: str, on: Quantity | None, own: OwnTerm | None) -> Entry:
+    if own is None:
+        return Entry(effect=name, on=on)
+    values = {coefficient: starts[0] for coefficient, starts in own.starts.items()}
+    return Entry(effect=name, formula=own.text, on=on, channels=own.channels, units=dict(own.units), values=values)
+
+
+def channels_named(bench: Bench, words: Sequence[str]) -> tuple[Quantity | None, tuple[str, ...]]:
+    """What `acceleration`, `rate`, or names of channels mean: their quantity, and the channels if they are named.
+
+    Raises BadInput for a name that no channel has, and for channels of both quantities.
+    """
+    if not words:
+        return None, ()
+    if len(words) == 1 and words[0] in BOTH:
+        return BOTH[BOTH.index(words[0])], ()
+    of: dict[str, Quantity] = {}
+    for part in bench.evidence.parts:
+        of |= {name: BOTH[bool(rates)] for name, rates in zip(part.channels.names, part.channels.rates, strict=True)}
+    stray = next((word for word in words if word not in of), None)
+    if stray is not None:
+        near = difflib.get_close_matches(stray, of, 3) or list(of)
+        raise BadInput(f"--on: found '{stray}', wanted acceleration, rate or channels such as {', '.join(near)}")
+    quantities = {of[word] for word in words}
+    if len(quantities) > 1:
+        raise BadInput(f"--on: found {' and '.join(words)}, wanted channels of one kind")
+    return quantities.pop(), tuple(dict.fromkeys(words))
+
+
+def _addable(bench: Bench, model: Model, entry: Entry, own: OwnTerm | None) -> Effect:
     from rig.repair.model_file import effect_of
 
     if entry.formula is not None and entry.on is None:
         entry = entry.model_copy(update={"on": "acceleration" if bench.evidence.sines else "rate"})
     try:
-        effect = effect_of(entry, bench.shelf)
+        effect = effect_of(entry, bench.shelf, own.starts if own is not None else {})
     except BadInput as error:
         raise BadInput(f"add: {error}") from error
     if effect.absorbed:

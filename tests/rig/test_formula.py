@@ -23,7 +23,7 @@ from rig.diagnose.diagnose import diagnose
 from rig.errors import BadInput
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
-from rig.formula import DEEPEST, LONGEST, formula_effect, parse, term_of
+from rig.formula import DEEPEST, LONGEST, formula_effect, own_term, parse, term_of
 from rig.model import EVERYWHERE, Quantity
 from rig.shelf import shelf
 
@@ -271,3 +271,40 @@ def test_the_formula_on_the_page_repairs_the_same_stranger(
     names = runpy.run_path(str(code), {"evidence": shaken})
     assert "k*V**2" in capsys.readouterr().out
     assert adequacy.adequate(shaken.fitted([names["term"]]))
+
+
+@pytest.mark.parametrize(
+    ("given_start", "value", "unit"),
+    [
+        ("tau=10 s", 10.0, "s"), ("tau = 10 ms", 0.01, "s"), ("tau=2 min", 120.0, "s"), ("tau=1.5", 1.5, ""),
+        ("tau=-3e-2 m/s²", -0.03, "m/s²"), ("tau=0.5 g", 4.903325, "m/s²"), ("tau=45 °", math.pi / 4, "rad"),
+        ("tau=2 1/V", 2.0, "1/V"), ("tau=50 mV", 0.05, "V"), ("tau=1 kHz", 1000.0, "Hz"), ("tau=3 %", 0.03, "1"),
+    ],
+)  # fmt: skip
+def test_a_start_is_given_in_any_unit_and_kept_in_si(given_start: str, value: float, unit: str) -> None:
+    made = own_term("k*exp(-t/tau)", [given_start])
+    assert made.starts == {"tau": (pytest.approx(value),)}
+    assert dict(made.units) == ({"tau": unit} if unit else {})
+
+
+def test_several_starts_of_one_coefficient_are_all_tried() -> None:
+    assert own_term("k*exp(-t/tau)", ["tau=10 s", "tau=1 min"]).starts == {"tau": (10.0, 60.0)}
+
+
+@pytest.mark.parametrize("wrong", ["tau", "tau=", "=3 s", "tau=x", "tau=1e999 s", "tau=3 furlong", "tau=3 s s", "10 s"])
+def test_a_start_that_cannot_be_read_is_refused(wrong: str) -> None:
+    with pytest.raises(BadInput, match=r"start: found .*, wanted .* such as"):
+        own_term("k*exp(-t/tau)", [wrong])
+
+
+def test_a_start_in_the_wrong_unit_is_refused_by_the_formula() -> None:
+    own = own_term("k*exp(-t/tau)", ["tau=10 V"])
+    with pytest.raises(BadInput, match=r"found s/V in exp, wanted a pure number"):
+        formula_effect("creep", own.text, on="rate", units=own.units, starts=own.starts)
+
+
+def test_a_formula_that_wants_a_start_or_a_unit_says_how_to_give_it() -> None:
+    with pytest.raises(BadInput, match=r"wanted starts for it: --start 'tau=VALUE UNIT'"):
+        formula_effect("creep", "k*exp(-t/tau)", on="rate")
+    with pytest.raises(BadInput, match=r"wanted its unit: --start '\w=VALUE UNIT'"):
+        formula_effect("two", "k*p*u", on="rate", starts={"p": (1.0,), "k": (1.0,)})

@@ -14,6 +14,7 @@ import pytest
 from rig.archive.records import Recorded
 from rig.errors import BadInput, ConfigError
 from rig.fit.parameters import estimates
+from rig.formula import own_term
 from rig.model import Term
 from rig.repair import repair
 from rig.repair.model_file import Model, as_text, load, path_of, save, terms_of
@@ -116,6 +117,49 @@ def test_a_model_written_by_hand_may_give_parameters_alone(tmp_path: Path) -> No
     text = "effects:\n- effect: cubic\n  on: acceleration\n  parameters: {coefficient: {value: 2e-5}}\n"
     (term,) = terms_of(load(written(tmp_path, text), shelf()), shelf())
     assert term.at == {"coefficient": 2e-5}
+
+
+@pytest.mark.parametrize("name", ["cubic", "output_filter"])
+def test_a_formula_may_not_take_the_name_of_an_effect(name: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=rf"found the name '{name}' for a formula.*wanted a name of its own"):
+        repair.added(bench(), repair.new(bench(), "datasheet"), name, "acceleration", "k * u**3")
+    text = f"effects:\n- {{effect: {name}, formula: k * u**3, on: acceleration}}\n"
+    with pytest.raises(ConfigError, match=rf":4:.*found the name '{name}' for a formula"):
+        load(written(tmp_path, text), shelf())
+
+
+def test_a_term_with_starts_and_channels_is_fitted_and_reads_back(tmp_path: Path) -> None:
+    own = own_term("k*sin(u/w)", ["w=2 g", "w=1 g"], ["unit_a_x", "unit_b_x", "unit_c_x"])
+    made = repair.added(bench(), repair.new(bench(), "datasheet"), "wave", "acceleration", own)
+    assert made.before.error > 1.3
+    assert made.after.error == pytest.approx(1.0, abs=0.1)  # the hidden cubic is the wave's third power
+    save(tmp_path / "model.yaml", made.model)
+    again = load(tmp_path / "model.yaml", shelf())
+    (entry,) = again.effects
+    assert entry.channels == own.channels
+    assert (entry.units, entry.values) == ({"w": "m/s²"}, {"w": pytest.approx(2.0 * 9.80665)})
+    assert repair.fitted(bench(), again).after.error == pytest.approx(made.after.error, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ((), (None, ())),
+        (("rate",), ("rate", ())),
+        (("gyro_yaw",), ("rate", ("gyro_yaw",))),
+        (("unit_b_x", "unit_a_x"), ("acceleration", ("unit_b_x", "unit_a_x"))),
+    ],
+)
+def test_channels_are_meant_by_quantity_or_by_name(words: tuple[str, ...], found: object) -> None:
+    assert repair.channels_named(bench(), words) == found
+
+
+@pytest.mark.parametrize(
+    "words", [("unit_q_x",), ("gyro_yaw", "unit_a_x"), ("acceleration", "rate"), ("rate", "gyro_yaw")]
+)
+def test_channels_that_are_not_there_or_of_two_kinds_are_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(BadInput, match=r"--on: found .*, wanted"):
+        repair.channels_named(bench(), words)
 
 
 def test_a_term_by_formula_is_loaded_and_fitted(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_import_show_runs_and_verify_go_together(folder: Path) -> None:
     said = rig(folder, "import", "swing.yaml").stdout
     assert "2000 rows  100 Hz" in said
     assert "gyro_z_dps counts against the reference" in said
-    assert said.splitlines()[-1] == "next: rig compare last"
+    assert said.splitlines()[-1].startswith("next: rig compare 20")
     shown = rig(folder, "show").stdout
     assert "imported rotation of A1: completed, 1 of 1 files" in shown
     assert "found on import: gyro_z_dps counts against the reference" in shown
@@ -95,7 +95,7 @@ def test_a_draft_filled_in_by_hand_is_imported(folder: Path) -> None:
     for key in ("serial", "source", "licence"):
         text = text.replace(f'{key}: ""', f"{key}: mine")
     (folder / "filled.yaml").write_text(text, encoding="utf-8")
-    assert "next: rig compare last" in rig(folder, "import", "filled.yaml").stdout
+    assert "next: rig compare 20" in rig(folder, "import", "filled.yaml").stdout
     assert ":16 unit.serial: found ''" in rig(folder, "import", "draft.yaml", wanted=2).stderr
 
 

@@ -106,7 +106,8 @@ def test_who_says_no_is_left_in_peace(bench: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "measure: Frequency sweep, x, about" in done.stdout
     assert done.stdout.count("take it?") == 1
-    assert done.stdout.endswith("nothing was measured; next: rig sweep --axis x\n")
+    last = f"next: rig sweep --axis x --bench {bench} --runs {tmp_path / 'runs'}\n"
+    assert done.stdout.endswith(f"nothing was measured\n{last}")
     assert not _taken(tmp_path / "runs")
 
 
@@ -114,19 +115,20 @@ def test_next_says_what_was_not_measured_when_nothing_is_open(investigated: Any,
     name = investigated["runs"][0]
     text = said(runs, "next", name, "--bench", str(bench)).splitlines()
     assert text[0] == "nothing is open between two effects: the model leaves nothing but noise in these runs"
-    assert any(line.split("  ")[-1] == "rig turntable --all" for line in text)
-    assert text[-1] == "next: rig turntable --all"
+    wanted = f"rig turntable --all --bench {bench} --runs {runs}"
+    assert any(line.split("  ")[-1] == wanted for line in text)
+    assert text[-1] == f"next: {wanted}"
     found = asked(runs, "next", name, "--bench", str(bench))
     assert found["measurements"] == []
     assert found["procedure"] is None
-    assert found["unmeasured"][0]["command"] == "rig turntable --all"
+    assert found["unmeasured"][0]["command"] == wanted
 
 
 def test_next_without_a_model_says_what_to_add(investigated: Any, bench: Path, runs: Path) -> None:
     name, model = investigated["runs"][0], str(runs / "none.yaml")
     text = said(runs, "next", name, "--bench", str(bench), "--model", model).splitlines()
     assert text[0] == "nothing is open between two effects: what is missing is cubic"
-    assert text[-1] == f"next: rig add cubic {name} --model {model} --on acceleration"
+    assert text[-1] == f"next: rig add cubic {name} --on acceleration --model {model} --runs {runs}"
 
 
 def test_a_floor_is_measured_from_three_mountings_and_kept_for_the_next_fit(
@@ -144,7 +146,7 @@ def test_a_floor_is_measured_from_three_mountings_and_kept_for_the_next_fit(
     text = said(runs, "floor", "last").splitlines()
     assert text[0].startswith("floor: ")
     assert text[1] == f"floor: {runs / 'floor.yaml'}"
-    assert text[-1] == "next: rig diagnose last"
+    assert text[-1] == f"next: rig diagnose last --runs {runs}"
     after = asked(runs, "diagnose", investigated["runs"][0])["cannot_see"]
     assert any("floor is not known" in line for line in before)
     assert not any("floor is not known" in line for line in after)
@@ -191,7 +193,8 @@ def test_next_writes_a_procedure_that_the_bench_accepts(open_question: Path) -> 
     assert path == found["procedure"]
     assert lines[1].split("  ")[1] == first["name"]
     assert first["decides"]
-    assert lines[-1] == f"next: rig run {path}, then rig diagnose {name} last"
+    where = f"--runs {runs}"
+    assert lines[-1] == f"next: rig run {path} --bench {bench} {where} && rig diagnose {name} last {where}"
     dry = said(runs, "run", path, "--dry-run", "--bench", bench)
     assert first["name"] in dry
     assert _taken(runs) == [name]

@@ -161,8 +161,8 @@ def test_the_model_of_the_unit_is_the_default_of_every_command(runs: Path, first
 def test_a_diagnosis_in_words_ends_with_what_to_do_next_and_exit_code_0(runs: Path, first_run: str) -> None:
     done = rig(runs, "diagnose", first_run, "--model", str(runs / "none.yaml"))
     assert done.stdout.splitlines()[1].startswith("verdict: missing cubic")
-    model = f"--model {runs / 'none.yaml'}"
-    assert done.stdout.splitlines()[-1] == f"next: rig add cubic {first_run} {model} --on acceleration"
+    model = f"--model {runs / 'none.yaml'} --runs {runs}"
+    assert done.stdout.splitlines()[-1] == f"next: rig add cubic {first_run} --on acceleration {model}"
     assert "%/g²" in done.stdout
     assert "SIMULATED" in done.stdout
 

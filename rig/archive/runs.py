@@ -71,7 +71,7 @@ class Runs:
         """The run of that name; `last` is the newest. Raises BadInput if there is none."""
         runs = self.list()
         if not runs:
-            raise BadInput(f"{self.root}: found no run, wanted one (rig sweep --axis x makes one)")
+            raise BadInput(f"{self.root}: found no run, wanted one (`rig sweep --axis x` makes one)")
         if name == "last":
             return runs[-1]
         for run in runs:

@@ -248,12 +248,12 @@ def load(path: Path) -> Calibration:
         body = _read(path.read_bytes())
     except FileNotFoundError:
         known = sorted(p.stem for p in path.parent.glob("*.yaml"))
-        wanted = f"one of {', '.join(known)}" if known else "one made by `rig calibrate RUN…`"
+        wanted = f"one of {', '.join(known)}" if known else "one made by `rig calibrate all`"
         raise BadInput(f"calibration: found no '{path.stem}' in {path.parent}, wanted {wanted}") from None
     except yaml.YAMLError as error:
         raise BadInput(f"{path}: found no YAML ({error}), wanted a calibration") from error
     if not isinstance(body, dict) or body.pop("format", None) != FORMAT:
-        raise BadInput(f"{path}: found no calibration of format {FORMAT}, wanted a file made by `rig calibrate`")
+        raise BadInput(f"{path}: found no calibration of format {FORMAT}, wanted a file made by `rig calibrate all`")
     try:
         return _calibration(body)
     except (KeyError, TypeError, ValueError) as error:

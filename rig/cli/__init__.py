@@ -62,9 +62,34 @@ class LazyGroup(click.Group):
         command: click.Command = getattr(module, f"{name}_" if keyword.iskeyword(name) else name)
         return command
 
+    def invoke(self, ctx: click.Context) -> object:
+        """Errors leave with the commands that they advise completed, an interruption with what to do next."""
+        from rig.errors import RigError, Terminated
+
+        try:
+            return super().invoke(ctx)
+        except RigError as error:
+            from rig.cli.onward import completed
+
+            error.args = tuple(completed(part) if isinstance(part, str) else part for part in error.args)
+            raise
+        except (click.Abort, KeyboardInterrupt, Terminated):
+            _say_interrupted(ctx)
+            raise click.exceptions.Exit(130) from None
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+def _say_interrupted(ctx: click.Context) -> None:
+    from rig.cli.onward import command
+
+    click.echo("interrupted; what was energised is off", err=True)
+    found = COMMANDS.get(ctx.invoked_subcommand or "", ("", ""))[0]
+    if found in ("measure", "investigate"):
+        click.echo(f"next: {command('resume', 'last')}", err=True)
+    click.echo(f"next: {command('runs')}", err=True)
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -89,8 +114,8 @@ def main() -> NoReturn:
     except click.ClickException as error:
         error.show()
         code = error.exit_code
-    except (click.Abort, KeyboardInterrupt, Terminated):
-        click.echo("interrupted; what was energised is off. next: rig runs, rig resume last", err=True)
+    except (click.Abort, KeyboardInterrupt, Terminated):  # before any command had begun
+        click.echo("interrupted", err=True)
         code = 130
     except RigError as error:
         click.echo(f"error: {error}", err=True)

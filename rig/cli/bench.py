@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rig.cli.onward import command, say_next
 from rig.cli.options import bench_option, bench_path, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _print_report(report: dict[str, Any]) -> None:
         click.echo(f"  {row['standard']:<11} {row['instrument']}, certificate {row['certificate']}, {dates}")
     if report["optical_level"] is not None:
         click.echo(f"  {'beam':<11} optical level {report['optical_level']} of 40")
-    click.echo("next: rig sweep --axis x")
+    say_next(command("sweep", "--axis", "x"))
 
 
 @bench.command()
@@ -151,7 +152,8 @@ def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None
     else:
         for name, address in addresses.items():
             click.echo(f"{name:<9} {address}")
-        click.echo("serving until Ctrl-C; next, elsewhere: rig sweep --axis x, or any VISA program")
+        click.echo("serving until Ctrl-C; elsewhere, any VISA program, or")
+        say_next(command("sweep", "--axis", "x"))
     # The open connection is what keeps the bench: it ends by itself soon after we are gone, however we go.
     with stoppable(), control.Control(int(str(addresses["control"]))) as held:
         try:

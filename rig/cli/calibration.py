@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rig.cli.onward import Carried, command, completed, say_next
 from rig.cli.options import json_option, print_json, runs_option
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from rig.calibrate.calibration import Calibration, Result
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
-NAME = click.option("--name", help="Name of the calibration [default: the unit's serial and the day].")
+NAME = click.option("--name", cls=Carried, help="Name of the calibration [default: the unit's serial and the day].")
 FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
 
 
@@ -43,9 +44,7 @@ def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs:
     else:
         click.echo("\n".join([*text_of(made), *(_interval_text(one) for one in intervals)]))
         click.echo(f"calibration: {path}")
-        click.echo(
-            f"next: rig certify {' '.join(names)}, rig report {' '.join(names)}, rig export {made.name} --to ros2"
-        )
+        say_next(command("certify", *names), command("report", *names), _exporting(made))
     _refuse_failed(made)
 
 
@@ -103,19 +102,27 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
     else:
         for label, written in (("certificate", pdf), ("digital certificate", dcc), ("calibration", path)):
             click.echo(f"{label}: {written}")
-        click.echo(f"next: rig export {made.name} --to ros2, rig compare-calibrations {made.name} ANOTHER")
+        say_next(_exporting(made), *_with_another(path))
     _refuse_failed(made)
 
 
 @click.command(short_help="Write a calibration for robots and other programs.")
 @click.argument("name", metavar="CALIBRATION")
 @click.option("--to", "format", type=click.Choice(FORMATS), required=True, help="Format.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
-@click.option("--unit", default="unit_a", show_default=True, help="Accelerometer triad.")
-@click.option("--gyro", default="gyro", show_default=True, help="Gyro triad: gyro or backup.")
-@click.option("--rate", type=float, help="Rate of the robot's messages, Hz (Kalibr).")
-@click.option("--topic", default="/imu0", show_default=True, help="ROS topic (Kalibr).")
-@click.option("--assume", multiple=True, metavar="KEY=VALUE", help="A Kalibr value that no record determined; marked.")
+@click.option(
+    "--out", cls=Carried, type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>]."
+)
+@click.option("--unit", cls=Carried, default="unit_a", show_default=True, help="Accelerometer triad.")
+@click.option("--gyro", cls=Carried, default="gyro", show_default=True, help="Gyro triad: gyro or backup.")
+@click.option("--rate", cls=Carried, type=float, help="Rate of the robot's messages, Hz (Kalibr).")
+@click.option("--topic", cls=Carried, default="/imu0", show_default=True, help="ROS topic (Kalibr).")
+@click.option(
+    "--assume",
+    cls=Carried,
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="A Kalibr value that no record determined; marked.",
+)
 @runs_option
 @json_option
 def export(
@@ -142,7 +149,7 @@ def export(
         return
     for path in written:
         click.echo(f"{format}: {path}")
-    click.echo(f"next: rig export {name} --to {'csv' if format != 'csv' else 'python'}")
+    say_next(command("export", name, "--to", "csv" if format != "csv" else "mat"))
 
 
 def _assumed(given: Sequence[str]) -> dict[str, float]:
@@ -175,8 +182,8 @@ def report(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pat
     if as_json:
         print_json({"calibration": made.name, "report": str(path)})
         return
-    click.echo(f"report: {path}")
-    click.echo(f"next: open it in a browser; rig certify {' '.join(names)}")
+    click.echo(f"report: {path} (open it in a browser)")
+    say_next(command("certify", *names))
 
 
 @click.command("compare-calibrations", short_help="Compare two calibrations by En numbers.")
@@ -193,7 +200,8 @@ def compare_calibrations(first: str, second: str, runs: Path, as_json: bool) -> 
     from rig.calibrate.comparison import compare
     from rig.errors import BadInput
 
-    rows = compare(load(path_of(runs, first)), load(path_of(runs, second)))
+    made = [load(path_of(runs, name)) for name in (first, second)]
+    rows = compare(*made)
     if not rows:
         raise BadInput(f"{first}, {second}: found no measurand that both determine, wanted at least one")
     if as_json:
@@ -204,7 +212,27 @@ def compare_calibrations(first: str, second: str, runs: Path, as_json: bool) -> 
         click.echo(f"{row.key:<{width}}  {row.first:>22}  {row.second:>22}  En {row.en:+6.2f}  {row.words}")
     apart = [row.key for row in rows if not row.agrees]
     click.echo(f"{len(rows) - len(apart)} of {len(rows)} agree" + (f"; apart: {', '.join(apart)}" if apart else ""))
-    click.echo(f"next: rig report RUN… of the newer one, rig export {second} --to csv")
+    newer = max(made, key=lambda one: one.made)
+    say_next(command("report", *(source.run for source in newer.sources)), _exporting(newer))
+
+
+def _exporting(made: Calibration) -> str:
+    """How to export a calibration: for a robot where it has all that a robot's file needs, else as a table."""
+    from rig.errors import BadInput
+    from rig.export import FORMATS as FILES
+    from rig.export.selection import Choice
+
+    try:
+        FILES["ros2"].files(made, Choice())
+    except BadInput:
+        return command("export", made.name, "--to", "csv")
+    return command("export", made.name, "--to", "ros2")
+
+
+def _with_another(path: Path) -> list[str]:
+    """How to compare a calibration with the newest one before it, if there is one."""
+    others = sorted((one for one in path.parent.glob("*.yaml") if one != path), key=lambda one: one.stat().st_mtime)
+    return [command("compare-calibrations", others[-1].stem, path.stem)] if others else []
 
 
 def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Calibration, list[Records]]:
@@ -252,7 +280,7 @@ def text_of(made: Calibration) -> list[str]:
     lines += ["", f"  U with k for 95 %; {others} more values and {len(missing)} not determined are in the file"]
     lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
     lines += [f"  note: {flag}" for flag in made.flags]
-    return lines
+    return [completed(line) for line in lines]
 
 
 def _beside(result: Result) -> str:

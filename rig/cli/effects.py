@@ -24,10 +24,10 @@ HEAD = """\
 
 <!-- Made by `make effects` from the files in rig/effects; changes here are lost. -->
 
-Every physical effect that a model can be composed of, {count} in all, by its stage of the chain. `rig diagnose` looks for all of them that a
-run can show; those with a test of their own, those that are not looked for yet, and those that no fit can see, say so. How to add one:
-[an effect of your own](../how-to/add-an-effect.md). In a unit, SI stands for that of the channel, m/s² or rad/s.
-`rig effects` lists the shelf in a terminal, `rig effects NAME` shows one of them."""
+Every physical effect that a model can be composed of, {count} in all, by its stage of the chain. `rig diagnose` looks
+for all of them that a run can show; those with a test of their own, those that are not looked for yet, and those that
+no fit can see, say so. How to add one: [an effect of your own](../how-to/add-an-effect.md). In a unit, SI stands for
+that of the channel, m/s² or rad/s. `rig effects` lists the shelf in a terminal, `rig effects NAME` shows one."""
 
 
 @click.command(short_help="The shelf of effects, and the page of each.")

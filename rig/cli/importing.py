@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rig.cli.onward import Carried, again, command, say_next
 from rig.cli.options import json_option, print_json, runs_option
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(name="import", short_help="Make a run out of other people's measurements.")
 @click.argument("manifest", metavar="MANIFEST", required=False, type=click.Path(path_type=Path))
-@click.option("--data", type=click.Path(file_okay=False, path_type=Path), envvar="RIG_REAL_DATA",
+@click.option("--data", cls=Carried, type=click.Path(file_okay=False, path_type=Path), envvar="RIG_REAL_DATA",
               help="Folder that the manifest's paths start from (or RIG_REAL_DATA) [default: its own].")  # fmt: skip
 @click.option("--guess", type=click.Path(path_type=Path), metavar="FILE",
               help="Draft a manifest from FILE instead, for you to finish.")  # fmt: skip
@@ -62,10 +63,11 @@ def _import(manifest: Path, data: Path | None, runs: Path, dry_run: bool, as_jso
         return
     click.echo("\n".join(read_text(read)))
     if name is None:
-        click.echo("nothing was written; next: the same command without --dry-run")
+        click.echo("nothing was written")
+        say_next(again(without="dry_run"))
     else:
         click.echo(f"run {name}")
-        click.echo(f"next: rig {'show' if read.manifest.kind == 'static' else 'compare'} last")
+        say_next(command("show" if read.manifest.kind == "static" else "compare", name))
 
 
 def read_as_json(read: Read, name: str | None) -> dict[str, Any]:
@@ -139,8 +141,17 @@ def _guess(file: Path, output: Path | None, data: Path | None, as_json: bool) ->
         click.echo(made.text, nl=False)
     else:
         _write_new(output, made.text)
-    click.echo("to fill in by you: " + "; ".join(made.to_fill), err=True)
-    click.echo(f"next: rig import {output or 'MANIFEST.yaml'}", err=True)
+    if made.to_fill:
+        click.echo("to fill in by you: " + "; ".join(made.to_fill), err=True)
+    drafted = command("import", "--guess", file, "-o", _free(file.stem)) if output is None else None
+    filled = "filled in, next" if made.to_fill and output is not None else "next"
+    click.echo(f"{filled}: {drafted or command('import', output)}", err=True)
+
+
+def _free(stem: str) -> Path:
+    """A file for a draft, here, that is not there yet."""
+    names = (f"{stem}{number}.yaml" for number in ("", *(f"-{n}" for n in range(2, 100))))
+    return next((path for path in map(Path, names) if not path.exists()), Path(f"{stem}.yaml"))
 
 
 def _write_new(path: Path, text: str) -> None:

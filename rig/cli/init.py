@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from rig.cli.onward import command, say_next
+
 
 @click.command(short_help="Copy example configs and procedures into this folder.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=Path())
@@ -24,7 +26,7 @@ def init(folder: Path) -> None:
         click.echo(f"  {path}")
     if kept:
         click.echo(f"  {kept} files were there already and are kept")
-    click.echo(f"next: rig run {folder / 'procedures' / 'sweep_x.yaml'} --dry-run")
+    say_next(command("run", folder / "procedures" / "sweep_x.yaml", "--dry-run"))
 
 
 def _examples() -> Iterator[tuple[Path, str]]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rig.cli.onward import BOTH, carry, carrying, command, completed, say_next
 from rig.cli.options import bench_option, bench_path, effects_option, json_option, print_json, runs_option
-from rig.cli.repair import MODEL, RUN_NAMES, START, Opened, model_options, opened
+from rig.cli.repair import MODEL, RUN_NAMES, START, Opened, adding, model_options, opened
 
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts
@@ -45,14 +46,14 @@ def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
         return
     click.echo(said(found))
     click.echo(f"floor: {path}")
-    click.echo(f"next: rig diagnose {' '.join(names)}")
+    say_next(command("diagnose", *names))
 
 
 @click.command("next", short_help="Which measurement would decide what is still open.")
 @RUN_NAMES
 @bench_option
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Where to write the procedure.")
-@model_options
+@model_options()
 def next_(
     names: tuple[str, ...], bench: Path | None, out: Path | None, model: Path | None, start: str | None,
     effects: Path | None, runs: Path, as_json: bool,
@@ -69,7 +70,7 @@ def next_(
     ours = not work.bench.evidence.imported  # this bench cannot repeat what others measured
     timed = [(one, _minutes(one, bench)) for one in (_ranked(diagnosis, runs) if ours else [])]
     rows = [(one, minutes) for one, minutes in timed if minutes is not None]
-    lacking = unmeasured(work.bench.evidence) if ours else ()
+    lacking = [(lacks, carrying(line)) for lacks, line in unmeasured(work.bench.evidence)] if ours else []
     path = _written(rows[0][0], out or work.figures / "next.yaml") if rows else None
     if as_json:
         print_json(_ranking_as_json(diagnosis, rows, path, lacking))
@@ -80,7 +81,7 @@ def next_(
     if path is not None:
         click.echo(f"procedure: {path}")
     worth = path is not None and rows[0][0].helps
-    click.echo(f"next: {_next_after(diagnosis, work, model, path if worth else None, lacking)}")
+    say_next(_next_after(diagnosis, work, path if worth else None, lacking))
 
 
 globals()["next"] = next_  # the command's name is a built-in function's
@@ -96,22 +97,19 @@ def _diagnosed(work: Opened) -> Diagnosis:
 
 
 def _next_after(
-    diagnosis: Diagnosis, work: Opened, model: Path | None, path: Path | None, lacking: Sequence[tuple[str, str]]
+    diagnosis: Diagnosis, work: Opened, path: Path | None, lacking: Sequence[tuple[str, str]]
 ) -> str:  # fmt: skip
-    """The commands that follow; the runs by name, because `last` will be another one."""
+    """The command that follows; the runs by name, because `last` will be another one."""
     names = work.names if work.names == ("all",) else work.bench.evidence.runs
-    options = work.words.split()[len(work.names) :]
-    words = " ".join([*names, *options])
     if path is not None:
         after = names if names == ("all",) else (*names, "last")
-        return f"rig run {path}, then rig diagnose {' '.join([*after, *options])}"
+        return BOTH.join([command("run", path), command("diagnose", *after)])
     if diagnosis.verdict == "missing":
         taken = diagnosis.steps[0].taken
-        on = f" --on {taken.term.on}" if taken.term.on and len(taken.term.effect.quantities) > 1 else ""
-        return f"rig add {taken.name} {words}{on}"
+        return adding(taken.name, names, taken.term.on if len(taken.term.effect.quantities) > 1 else None)
     if diagnosis.verdict == "adequate" and lacking:
         return lacking[0][1]
-    return f"rig {'fit' if diagnosis.verdict == 'adequate' else 'compare'} {words}"
+    return command("fit" if diagnosis.verdict == "adequate" else "compare", *names)
 
 
 def _ranked(diagnosis: Diagnosis, runs: Path) -> list[Ranked]:
@@ -212,7 +210,7 @@ def _elsewhere_text(diagnosis: Diagnosis, evidence: Evidence) -> list[str]:
     for step in diagnosis.steps:
         for effect in dict.fromkeys(choice.term.effect for choice in step.members):
             lines.append(f"  {effect.name}: {effect.separate_by}")
-    return [*lines, *(f"  not seen: {one}" for one in evidence.blind)]
+    return [*lines, *(f"  not seen: {completed(one)}" for one in evidence.blind)]
 
 
 def _lacking_text(lacking: Sequence[tuple[str, str]]) -> list[str]:
@@ -255,10 +253,10 @@ def investigate(
                     "model": kept})  # fmt: skip
     elif loop.names:
         click.echo(f"the end: {verdict}; added to the model: {', '.join(loop.added) or 'nothing'}; {loop.path}")
-        words = " ".join([*loop.names, *([] if model is None else ["--model", str(model)])])
-        click.echo(f"next: rig {'history' if verdict == 'adequate' else 'next'} {words}, rig compare {words}")
+        say_next(command("history" if verdict == "adequate" else "next", *loop.names), command("compare", *loop.names))
     else:
-        click.echo("nothing was measured; next: rig sweep --axis x")
+        click.echo("nothing was measured")
+        say_next(command("sweep", "--axis", "x"))
 
 
 def _askable(yes: bool, as_json: bool) -> None:
@@ -420,24 +418,25 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
     from rig.repair.model_file import path_of
 
     path = path_of(runs, f"demo-{names[0]}")
-    words = f"{' '.join(names)} --model {path}"
+    carry(model=path)
     common = {"names": tuple(names), "model": path, "runs": runs, "as_json": False}
     asking = {**common, "start": None, "effects": None}
     click.echo(f"\nOne effect is hidden in this world. Two runs were taken: {' '.join(names)}")
-    _pause(yes, f"rig compare {words}")
+    _pause(yes, command("compare", *names))
     ctx.invoke(repair.compare, **asking)
-    _pause(yes, f"rig diagnose {words}")
+    _pause(yes, command("diagnose", *names))
     ctx.invoke(repair.diagnose, **asking)
     taken = _taken(names, runs, path)
     if taken is not None:
         name, on = taken
-        _pause(yes, f"rig add {name} {words}{f' --on {on}' if on else ''}")
+        _pause(yes, adding(name, names, on))
         ctx.invoke(repair.add, effect=name, on=on, formula=None, **asking)
-        _pause(yes, f"rig history --model {path}")
+        _pause(yes, command("history", *names))
         ctx.invoke(repair.history, **common)
     else:
         click.echo("\nnothing to add: what is hidden does not show in these two runs")
-    click.echo("\nnow see whether it was true; next: rig bench reveal")
+    click.echo("\nnow see whether it was true")
+    say_next(command("bench", "reveal"))
 
 
 def _taken(names: Sequence[str], runs: Path, path: Path) -> tuple[str, Any] | None:

@@ -58,7 +58,7 @@ def completed(text: str) -> str:
 def again(*, without: str) -> str:
     """The command of this invocation as it was given, less one flag."""
     ctx = click.get_current_context()
-    words = ctx.command_path.split()[1:]
+    words = _names_of(ctx)
     named: list[str] = []
     for parameter in ctx.command.params:
         if ctx.get_parameter_source(str(parameter.name)) is not ParameterSource.COMMANDLINE:
@@ -72,6 +72,11 @@ def again(*, without: str) -> str:
         elif value is not True:
             named += (word for one in values for word in (parameter.opts[0], str(one)))
     return shlex.join(["rig", *words, *named])
+
+
+def _names_of(ctx: click.Context) -> list[str]:
+    """Names of a command and the groups that it is in, without the program's."""
+    return [] if ctx.parent is None else [*_names_of(ctx.parent), str(ctx.info_name)]
 
 
 def say_next(*lines: str) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rig.cli.onward import again, command, completed, say_next
 from rig.cli.options import print_json
 from rig.cli.progress import duration_text
 
@@ -47,7 +48,8 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
         )
     else:
         click.echo("\n".join(_run_lines(records, made, why)))
-        _print_ending(done, figure, run)
+        _print_ending(done, figure)
+        say_next(*([command("show", run.name)] if made is None else concluding(run.name)))
     if missed:
         from rig.errors import VerdictNotMet
 
@@ -74,12 +76,16 @@ def key_results(made: Calibration, records: Records) -> list[Result]:
     return [*rows, *(made.of("deviation") if noise or not rows else ())]
 
 
-def _print_ending(done: Outcome, figure: list[Path], run: Run) -> None:
+def concluding(*names: str) -> list[str]:
+    """The commands that conclude from runs."""
+    return [command("calibrate", *names), command("report", *names)]
+
+
+def _print_ending(done: Outcome, figure: list[Path]) -> None:
     parts = ", ".join(f"{name} {seconds / done.elapsed:.0%}" for name, seconds in done.shares.items())
     click.echo(f"took {duration_text(done.elapsed)}: {parts}")
     for path in figure:
         click.echo(f"figure: {path}")
-    click.echo(f"next: rig calibrate {run.name}, rig report {run.name}")
 
 
 def run_as_text(run: Run) -> str:
@@ -112,8 +118,8 @@ def _imported_lines(records: Records) -> list[str]:
         from rig.parts.reading.rest import at_rest
 
         noises = (f"  {one.in_words}" for one in at_rest(data))
-        return [*lines, *noises, "next: rig import MANIFEST.yaml, a record of the same unit in motion"]
-    return [*lines, f"next: rig compare {records.name}"]
+        return [*lines, *noises, "a record of the same unit in motion, imported too, can be compared with a model"]
+    return [*lines, f"next: {command('compare', records.name)}"]
 
 
 def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str]:
@@ -133,7 +139,7 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
         lines += ["", *(f"  {r.channel:<{width}}  {text(r):<26} {r.title}; {r.reference}" for r in rows)]
         lines += ["  (expanded uncertainty for 95 %, from this run alone)"]
     lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
-    return [*lines, *(f"  note: {flag}" for flag in made.flags)]
+    return [completed(line) for line in (*lines, *(f"  note: {flag}" for flag in made.flags))]
 
 
 def _unmet(plan: Plan, made: Calibration) -> Iterator[str]:
@@ -151,7 +157,7 @@ def plan_as_text(plan: Plan) -> str:
     """The dry run: every step, its peaks, and how long it takes; nothing is moved."""
     lines = [f"{plan.title}: {len(plan.steps)} steps, {plan.points} points, about {duration_text(plan.duration)}"]
     lines += [f"  {number:>4}  {step.label:<32} {step_detail(step)}" for number, step in enumerate(plan.steps, start=1)]
-    lines.append("nothing was moved; next: the same command without --dry-run")
+    lines += ["nothing was moved", f"next: {again(without='dry_run')}"]
     return "\n".join(lines)
 
 

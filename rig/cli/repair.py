@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from rig.cli.onward import Carried, command, completed, say_next
 from rig.cli.options import effects_option, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
@@ -23,23 +24,28 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 NEAR = 0.5  # of the excess that the nearest on the shelf explains: worth trying
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
+MODEL_STARTS = ("datasheet", "paper", "shared")
 EFFECT = click.argument("effect", metavar="EFFECT")
 MODEL = click.option(
-    "--model", type=click.Path(dir_okay=False, path_type=Path), help="Model file [default: models/<serial>.yaml]."
+    "--model",
+    cls=Carried,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Model file [default: models/<serial>.yaml].",
 )
 START = click.option(
     "--start",
-    type=click.Choice(("datasheet", "paper", "shared")),
+    cls=Carried,
+    type=click.Choice(MODEL_STARTS),
     help="Where a new model starts: the data sheet's, the paper's without output filter, or one with a single "
     "sensitivity for all axes [default: datasheet].",
 )
 ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
 
 
-def model_options(command: F) -> F:
+def model_options() -> Callable[[F], F]:
     """Everything that says which model is meant, and where the runs are."""
     options = (MODEL, START, effects_option, runs_option, json_option)
-    return functools.reduce(lambda made, option: option(made), reversed(options), command)
+    return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
 @dataclass(frozen=True)
@@ -51,14 +57,6 @@ class Opened:
     path: Path
     names: tuple[str, ...]
     runs: Path
-    given: Path | None = None  # the model's file as it was asked for
-
-    @property
-    def words(self) -> str:
-        """The runs and the model as they were asked for, for the next command."""
-        begun = self.path.exists() or self.model.start == "datasheet"
-        start = [] if begun else ["--start", self.model.start]
-        return " ".join([*self.names, *start, *([] if self.given is None else ["--model", str(self.given)])])
 
     @property
     def figures(self) -> Path:
@@ -76,13 +74,13 @@ def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, eff
 
     bench = bench_of(records_of(names, runs), shelf(effects), floor.load(floor.path_of(runs)))
     path = model or path_of(runs, bench.evidence.serial)
-    return Opened(bench, model_at(path, bench, start), path, tuple(names), runs, model)
+    return Opened(bench, model_at(path, bench, start), path, tuple(names), runs)
 
 
 @click.command(short_help="Error against noise, and where a model fails.")
 @RUN_NAMES
 @click.option("--as-is", is_flag=True, help="Hold the model's values: does it predict runs that it was not fitted to?")
-@model_options
+@model_options()
 def compare(
     names: tuple[str, ...], as_is: bool, model: Path | None, start: str | None, effects: Path | None, runs: Path,
     as_json: bool,
@@ -108,7 +106,7 @@ def compare(
     click.echo("\n".join([_title("compare", work), *said]))
     for path in figures:
         click.echo(f"figure: {path}")
-    click.echo(f"next: rig diagnose {work.words}")
+    say_next(command("diagnose", *names))
 
 
 def _predict(work: Opened, as_json: bool) -> None:
@@ -119,7 +117,9 @@ def _predict(work: Opened, as_json: bool) -> None:
 
     model = work.model
     if not model.channels:
-        raise BadInput(f"{work.path}: found no fitted model, wanted one to hold; next: rig fit RUN of the same unit")
+        raise BadInput(
+            f"{work.path}: found no fitted model, wanted one to hold, as `{command('fit', *work.names)}` makes"
+        )
     sensitivity = {name: one.sensitivity.value for name, one in model.channels.items()}
     pole = {name: one.pole.value for name, one in model.channels.items() if one.pole is not None}
     terms = terms_of(model, work.bench.shelf)
@@ -129,7 +129,7 @@ def _predict(work: Opened, as_json: bool) -> None:
         return
     said = [*prediction_text(found), *_notes_text(work)]
     click.echo("\n".join([_title("compare as it is", work), *said]))
-    click.echo(f"next: rig {'fit' if found.holds else 'diagnose'} {work.words}")
+    say_next(command("fit" if found.holds else "diagnose", *work.names))
 
 
 def prediction_text(found: Prediction) -> list[str]:
@@ -151,7 +151,9 @@ def _notes_text(work: Opened) -> list[str]:
     """What is to be said of imported records; of the rig's own, a diagnosis says it among what cannot be seen."""
     evidence = work.bench.evidence
     return (
-        ["of the records:", *(f"  {note}" for note in evidence.notes)] if evidence.imported and evidence.notes else []
+        ["of the records:", *(f"  {completed(note)}" for note in evidence.notes)]
+        if evidence.imported and evidence.notes
+        else []
     )
 
 
@@ -193,7 +195,7 @@ def worst_text(worst: Iterable[Condition]) -> list[str]:
 
 @click.command(short_help="Fit a model to runs and keep it in its file.")
 @RUN_NAMES
-@model_options
+@model_options()
 def fit(
     names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
 ) -> None:
@@ -201,12 +203,12 @@ def fit(
     from rig.repair.repair import fitted
 
     work = opened(names, runs, model, start, effects)
-    _conclude(work, fitted(work.bench, work.model), as_json, f"rig diagnose {work.words}")
+    _conclude(work, fitted(work.bench, work.model), as_json)
 
 
 @click.command(short_help="Which effect is missing in a model.")
 @RUN_NAMES
-@model_options
+@model_options()
 def diagnose(
     names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
 ) -> None:
@@ -226,7 +228,7 @@ def diagnose(
         print_json(diagnosis_as_json(said, _compared(work, work.model).as_json([])["groups"]))
         return
     click.echo("\n".join([_title("diagnose", work), *diagnosis_text(said), *_notes_text(work)]))
-    click.echo(f"next: {_next_after(said, work)}")
+    say_next(*_next_after(said, work))
 
 
 def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]:
@@ -236,8 +238,8 @@ def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]
         "groups": list(groups),
         "candidates": [one.as_json() for one in said.candidates],
         "excluded": [one.as_json() for one in said.excluded],
-        "description": said.description,
-        "cannot_see": list(said.cannot_see),
+        "description": completed(said.description),
+        "cannot_see": [completed(one) for one in said.cannot_see],
     }
 
 
@@ -255,7 +257,7 @@ def diagnosis_text(said: Conclusion) -> list[str]:
     if said.description:
         lines += ["", *(f"  {piece}" for piece in said.description.replace(".; ", "; ").split("; "))]
     lines += ["", "this data cannot see:", *(f"  {one}" for one in said.cannot_see)] if said.cannot_see else []
-    return lines
+    return [completed(line) for line in lines]
 
 
 def verdict_text(said: Conclusion) -> str:
@@ -298,22 +300,26 @@ def _other_text(one: Candidate) -> str:
 
 
 def _first(said: Conclusion, work: Opened) -> str:
-    """The first effect taken as `rig add` wants it."""
+    """The command that adds the first effect taken."""
     first = said.taken[0]
     effect = work.bench.shelf.get(first.effect)
-    on = f" --on {first.on}" if effect is not None and len(effect.quantities) > 1 else ""
-    return f"{first.effect} {work.words}{on}"
+    on = first.on if effect is not None and len(effect.quantities) > 1 else None
+    return adding(first.effect, work.names, on)
 
 
-def _next_after(said: Conclusion, work: Opened) -> str:
+def adding(effect: str, names: Sequence[str], on: str | None) -> str:
+    """The command that adds an effect; `on` where it has to be said."""
+    return command("add", effect, *names, *(("--on", on) if on else ()))
+
+
+def _next_after(said: Conclusion, work: Opened) -> list[str]:
     if said.verdict == "missing":
-        return f"rig add {_first(said, work)}"
+        return [_first(said, work)]
     if said.verdict == "adequate":
-        return f"rig fit {work.words}, rig history {work.words}"
+        return [f"{command('fit', *work.names)} && {command('history', *work.names)}"]
     if said.taken and said.diagnosis.explained > NEAR:
-        share = f"(with what follows it explains {said.diagnosis.explained:.0%})"
-        return f"rig add {_first(said, work)} {share}, rig compare {work.words}"
-    return f"rig compare {work.words}"
+        return [_first(said, work), command("compare", *work.names)]
+    return [command("compare", *work.names)]
 
 
 @click.command(short_help="Add an effect to a model and refit.")
@@ -321,7 +327,7 @@ def _next_after(said: Conclusion, work: Opened) -> str:
 @RUN_NAMES
 @ON
 @click.option("--formula", metavar="TEXT", help="A term of your own, e.g. 'k * omega**2'; EFFECT is its name then.")
-@model_options
+@model_options()
 def add(
     effect: str, names: tuple[str, ...], on: Any, formula: str | None, model: Path | None, start: str | None,
     effects: Path | None, runs: Path, as_json: bool,
@@ -333,14 +339,14 @@ def add(
     from rig.repair.repair import added
 
     work = opened(names, runs, model, start, effects)
-    _conclude(work, added(work.bench, work.model, effect, on, formula), as_json, f"rig diagnose {work.words}")
+    _conclude(work, added(work.bench, work.model, effect, on, formula), as_json)
 
 
 @click.command(short_help="Take an effect out of a model and refit.")
 @EFFECT
 @RUN_NAMES
 @ON
-@model_options
+@model_options()
 def remove(
     effect: str, names: tuple[str, ...], on: Any, model: Path | None, start: str | None, effects: Path | None,
     runs: Path, as_json: bool,
@@ -349,10 +355,10 @@ def remove(
     from rig.repair.repair import removed
 
     work = opened(names, runs, model, start, effects)
-    _conclude(work, removed(work.bench, work.model, effect, on), as_json, f"rig diagnose {work.words}")
+    _conclude(work, removed(work.bench, work.model, effect, on), as_json)
 
 
-def _conclude(work: Opened, made: Repaired, as_json: bool, then: str) -> None:
+def _conclude(work: Opened, made: Repaired, as_json: bool) -> None:
     """Keep the model and say what became of it."""
     from rig.repair.model_file import save
 
@@ -362,7 +368,7 @@ def _conclude(work: Opened, made: Repaired, as_json: bool, then: str) -> None:
         return
     click.echo("\n".join(repaired_text(made)))
     click.echo(f"model: {work.path}")
-    click.echo(f"next: {then}, rig history {work.words}")
+    say_next(command("diagnose", *work.names), command("history", *work.names))
 
 
 def repaired_as_json(path: Path, made: Repaired) -> dict[str, Any]:
@@ -438,8 +444,7 @@ def history(names: tuple[str, ...], model: Path | None, runs: Path, as_json: boo
     click.echo("\n".join([f"history of {found.unit}, {path}{mark}", *history_text(found.history)]))
     for one in figures:
         click.echo(f"figure: {one}")
-    words = " ".join(names) or "last"
-    click.echo(f"next: rig diagnose {words}")
+    say_next(command("diagnose", *(names or found.runs or ("last",))))
 
 
 def _model_of(names: Sequence[str], runs: Path) -> Path:

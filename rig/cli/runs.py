@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from rig.cli.onward import command, say_next
 from rig.cli.options import json_option, print_json, runs_option
 
 
@@ -22,7 +23,8 @@ def runs(runs: Path, as_json: bool) -> None:
         print_json(rows)
         return
     if not rows:
-        click.echo(f"no runs in {runs} yet; next: rig sweep --axis x")
+        click.echo(f"no runs in {runs} yet")
+        say_next(command("sweep", "--axis", "x"))
         return
     width = max(len(row["run"]) for row in rows)
     for row in rows:
@@ -30,7 +32,7 @@ def runs(runs: Path, as_json: bool) -> None:
         click.echo(
             f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}"
         )
-    click.echo("next: rig show last")
+    say_next(command("show", rows[-1]["run"]))
 
 
 @click.command(short_help="Show one run.")
@@ -64,7 +66,7 @@ def verify(name: str, runs: Path, as_json: bool) -> None:
         print_json({"run": run.name, "status": run.status, "sound": not problems, "problems": problems})
     elif not problems:
         click.echo(f"{run.name}: sound ({run.status}; {_counted(run)})")
-        click.echo(f"next: rig {'resume' if run.status == 'interrupted' else 'show'} {run.name}")
+        say_next(command("resume" if run.status == "interrupted" else "show", run.name))
     if problems:
         raise ArchiveError(f"{run.name}: " + "; ".join(problems))
 

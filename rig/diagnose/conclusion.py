@@ -7,8 +7,10 @@ its probability counts no more than the share that it explains, and never more t
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,6 +29,7 @@ from rig.motion import Array
 
 OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
 OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
+OWN = "own_law"  # name of a described formula in a model
 DETERMINED = 0.5  # of the prior uncertainty of a corner: below it the data have their say
 RANKED_BELOW = 4  # effects of a step that are said to be excluded
 EVENS = 0.5  # the highest probability of a candidate that leaves more than noise
@@ -259,7 +262,7 @@ def _probability(diagnosis: Diagnosis, choice: Choice) -> float:
 
 def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
     """What an unlisted effect looks like: the nearest on the shelf, its laws, and a formula to try as a term."""
-    said = [nearest(diagnosis), *_laws(describe(evidence, diagnosis.base))]
+    said = [nearest(diagnosis), *_laws(evidence, describe(evidence, diagnosis.base))]
     groups = sorted((g for g in adequacy.groups(diagnosis.final) if g.z > adequacy.LIMIT), key=lambda g: -g.z)
     if groups:
         domains = dict.fromkeys(group.domain for group in groups)
@@ -271,11 +274,21 @@ def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
     return "; ".join(said)
 
 
-def _laws(found: Description) -> Iterator[str]:
+def _laws(evidence: Evidence, found: Description) -> Iterator[str]:
     """Domain, exponents, orders and parity in words, and how to try the formula."""
     yield from found.words
-    if found.formula:
-        yield f"to try: rig add NAME RUN... --formula '{found.formula}' --on {found.on}"
+    if found.formula and found.fit is not None:
+        yield f"to try: `{trying(evidence.runs, found, {term.effect.name for term in found.fit.state.terms})}`"
+
+
+def trying(runs: Sequence[str], found: Description, there: Set[str]) -> str:
+    """The command that adds the formula to the model of these runs, under a name that is not there yet."""
+    free = itertools.chain([OWN], map(f"{OWN}_{{}}".format, itertools.count(2)))
+    name = next(one for one in free if one not in there)
+    where = (word for one in found.only or (found.on,) for word in ("--on", str(one)))
+    starts = (f"{one}={value:g} s" for one, values in found.starts.items() for value in values)  # all are times
+    options = (word for start in starts for word in ("--start", start))
+    return shlex.join(["rig", "add", name, *runs, "--formula", found.formula, *where, *options])
 
 
 def nearest(diagnosis: Diagnosis) -> str:

@@ -204,7 +204,7 @@ def unmeasured(evidence: Evidence) -> list[tuple[str, str]]:
         command = f"rig sweep --axis {axes[0]} --levels full,quarter"
         found.append(("one drive level: level and frequency cannot be told apart", command))
     if evidence.sines and said(None) in evidence.blind:
-        found.append(("the bench's own ripple is not known", "rig run remounts.yaml, then rig floor last"))
+        found.append(("the bench's own ripple is not known", "rig run remounts.yaml && rig floor last"))
     for axis in "xyz" if axes else "":
         if axis not in axes:
             found.append((f"not driven along {axis}", f"rig sweep --axis {axis}"))

@@ -21,7 +21,7 @@ GYROS = ("gyro", "backup")
 
 # What a technician runs to determine a measurand that is missing.
 SOURCES: Mapping[str, str] = {
-    "sensitivity": "`rig sweep --axis …` for accelerometers, `rig turntable --axis …` for gyros",
+    "sensitivity": "a run of its axis: `rig sweep --axis x` (accelerometer), `rig turntable --axis yaw` (gyro)",
     "offset": "a static record (`rig noise`)",
     "deviation": "a static record (`rig noise`)",
     "noise_density": "a static record (`rig noise`)",

@@ -179,7 +179,7 @@ def said(floor: Floor | None) -> str:
     if floor is None:
         return (
             "the bench's own floor is not known: ripple of mounting or reference looks like physics of the sensor "
-            "(rig run remounts.yaml, then rig floor)"
+            "(`rig run remounts.yaml && rig floor last`)"
         )
     if floor.size == 0.0:
         return f"floor: no ripple beyond noise between {floor.mountings} mountings"

@@ -99,7 +99,7 @@ def is_foreign(records: Recorded) -> bool:
 def foreign_of(records: Recorded) -> Foreign:
     """The imported data of a run. Raises BadInput for a run that was not imported."""
     if not is_foreign(records):
-        raise BadInput(f"{records.name}: found no imported data, wanted a run that `rig import` made")
+        raise BadInput(f"{records.name}: found no imported data, wanted a run that was imported")
     tables = tuple(_table(records, body) for _, body in sorted(records.points.items()))
     found = tuple(str(one["text"]) for one in _findings(records))
     return Foreign(records.name, from_json(records.header["imported"]), tables, found)

@@ -469,12 +469,12 @@ class Plan:
 
 
 PLANS = (
-    Plan("Figure 4: reference velocity", lambda _, runs: figure_4(runs), "rig sweep"),
-    Plan("Figure 5: uncalibrated accelerometers", lambda _, runs: figure_5(runs), "rig sweep"),
+    Plan("Figure 4: reference velocity", lambda _, runs: figure_4(runs), "rig sweep --axis x"),
+    Plan("Figure 5: uncalibrated accelerometers", lambda _, runs: figure_5(runs), "rig sweep --axis x"),
     Plan("Figure 7: sensitivity by equation 13", figure_7, "rig turntable"),
     Plan("Figure 8: sensitivity by equation 12", figure_8, "rig turntable"),
     Plan("Figure 9: calibrated measurement over the reference", figure_9, "rig turntable"),
-    Plan("Frequency response", lambda calibration, _: response(calibration), "rig sweep"),
+    Plan("Frequency response", lambda calibration, _: response(calibration), "rig sweep --axis x"),
     Plan("Graduation of the encoder", lambda _, runs: graduation(runs), "rig turntable"),
     Plan("Allan deviation", lambda _, runs: allan_deviation(runs), "rig noise"),
 )

@@ -16,7 +16,7 @@ from rig.shelf import shelf
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COUNTED = re.compile(
     r"\b(\d+|(?:twen|thir|for|fif|six)ty[- ]?\w*) (?:physical |shipped )?effects\b|\bshelf (?:of|has) (\d+)", re.I
 )

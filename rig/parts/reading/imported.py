@@ -47,7 +47,9 @@ def _read(foreign: Foreign) -> tuple[list[Part], list[Term]]:
         case "poses":
             return [Posed(data) for data in posed(foreign)], []
         case kind:
-            raise BadInput(f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: rig show)")
+            raise BadInput(
+                f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: `rig show {foreign.run}`)"
+            )
 
 
 def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:

@@ -116,6 +116,9 @@ FLOWS = {
     "diagnose": f"rig diagnose {WORDS}",
     "paper": f"rig diagnose {WORDS} --start paper".replace("model 1", "paper 1"),
     "add": f"rig add cable_drag {WORDS}".replace("model 1", "model 2"),
+    "formula": f"rig add wave {WORDS} --formula 'k*sin(u/w)' --start 'w=2 g' --start 'w=1 g' --on acceleration".replace(
+        "model 1", "model 3"
+    ),
     "next": f"rig next {WORDS} --bench '{BENCH}'",
     "calibrate": f"rig calibrate all --name 'my unit' {RUN}",
     "runs": f"rig runs {RUN}",

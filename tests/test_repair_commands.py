@@ -167,6 +167,87 @@ def test_a_diagnosis_in_words_ends_with_what_to_do_next_and_exit_code_0(runs: Pa
     assert "SIMULATED" in done.stdout
 
 
+def test_a_formula_of_ones_own_brings_the_error_down_and_stands_in_the_model_file(
+    runs: Path, first_run: str, tmp_path: Path
+) -> None:
+    file = ("--model", str(tmp_path / "model.yaml"))
+    term = ("--formula", "k*sin(u/w)", "--start", "w=2 g", "--start", "w=1 g")  # a cubic is its first bend
+    driven = ("--on", "unit_a_x", "--on", "unit_b_x", "--on", "unit_c_x")
+    added = asked(runs, "add", "wave", first_run, *term, *driven, *file)
+    assert added["before"]["error"] > 1.3
+    assert added["after"]["error"] == pytest.approx(1.0, abs=0.15)
+    (entry,) = yaml.safe_load((tmp_path / "model.yaml").read_text(encoding="utf-8"))["effects"]
+    assert (entry["effect"], entry["formula"], entry["units"]) == ("wave", "k*sin(u/w)", {"w": "m/s²"})
+    assert entry["channels"] == ["unit_a_x", "unit_b_x", "unit_c_x"]
+    assert set(entry["parameters"]) == {"k", "w"}
+    assert asked(runs, "fit", first_run, *file)["after"]["error"] == pytest.approx(1.0, abs=0.15)
+    assert asked(runs, "diagnose", first_run, *file)["verdict"] == "adequate"
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (("wave", "--formula", "k*sin(u/w)"), "wanted starts for it: --start 'w=VALUE UNIT'"),
+        (("wave", "--formula", "k*sin(u/w)", "--start", "w=1 s"), "wanted a pure number or an angle"),
+        (("wave", "--formula", "k*u**3", "--start", "p=1"), "found a unit or a start for 'p', wanted one of k"),
+        (("cubic", "--formula", "k*u**3"), "found the name 'cubic' for a formula.*wanted a name of its own"),
+        (("wave", "--formula", "k*u**3", "--on", "unit_a_q"), "--on: found 'unit_a_q', wanted"),
+        (("cubic", "--on", "unit_a_x"), "found unit_a_x for cubic, wanted acceleration or rate"),
+        (("cubic", "--start", "w=1 g"), "without a formula, wanted --formula with it"),
+        (("cubic", "--start", "paperr"), "found 'paperr', wanted datasheet, paper, shared, or"),
+    ],
+)
+def test_a_term_that_cannot_be_added_says_what_would_do(
+    runs: Path, first_run: str, words: tuple[str, ...], wanted: str, tmp_path: Path
+) -> None:
+    effect, *options = words
+    with pytest.raises(BadInput, match=wanted) as error:
+        said(runs, "add", effect, first_run, *options, "--model", str(tmp_path / "model.yaml"))
+    assert error.value.exit_code == 2
+    assert not (tmp_path / "model.yaml").exists()
+
+
+BROKEN = """from rig.model import Array, Coordinate, Effect, Motion, Parameter, Values
+
+
+class Drag(Effect):
+    stage = "transducer"
+    title = "drag"
+    equation = "u + drag·u⁷"
+    quantities = ("acceleration",)
+    coordinates = (Coordinate("drag", 1e-9),)
+    parameters = (Parameter("drag", "1/(SI)⁶", (-1.0, 1.0), (1e-9, 1e-8)),)
+    missing = "it pulls"
+    separate_by = "a shorter cable"
+    source = "our own bench"
+
+    def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
+        return u + at["drag"] * u**7
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ('    title = "drag"', '    title = "drag', 6),
+        ('    title = "drag"', "    title = None", 6),
+        ('at["drag"]', 'at["drg"]', 16),
+        ("u**7", "u[..., :3]**7", 16),
+        ('return u + at["drag"] * u**7', "return u.T", 15),
+    ],
+)
+def test_a_mistake_in_an_effect_of_ones_own_ends_every_command_with_file_line_and_exit_2(
+    runs: Path, first_run: str, old: str, new: str, line: int, tmp_path: Path
+) -> None:
+    assert old in BROKEN
+    (tmp_path / "drag.py").write_text(BROKEN.replace(old, new), encoding="utf-8")
+    words = (first_run, "--effects", str(tmp_path), "--model", str(tmp_path / "model.yaml"))
+    for command in (("diagnose",), ("add", "drag")):
+        done = rig(runs, *command, *words, wanted=2)
+        assert done.stderr.startswith(f"error: {tmp_path / 'drag.py'}:{line}:"), done.stderr
+        assert "wanted" in done.stderr
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -430,7 +430,7 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
     if taken is not None:
         name, on = taken
         _pause(yes, adding(name, names, on))
-        ctx.invoke(repair.add, effect=name, on=on, formula=None, **asking)
+        ctx.invoke(repair.add, effect=name, on=(on,) if on else (), formula=None, **{**asking, "start": ()})
         _pause(yes, command("history", *names))
         ctx.invoke(repair.history, **common)
     else:

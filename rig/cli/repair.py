@@ -42,9 +42,16 @@ START = click.option(
 ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
 
 
-def model_options() -> Callable[[F], F]:
+class Starts(Carried):
+    """Starts of a model and of coefficients; only the first go along, because a formula is added once."""
+
+    def texts(self, value: Any) -> tuple[str, ...]:
+        return tuple(one for one in value if "=" not in one)
+
+
+def model_options(*, start: bool = True) -> Callable[[F], F]:
     """Everything that says which model is meant, and where the runs are."""
-    options = (MODEL, START, effects_option, runs_option, json_option)
+    options = (MODEL, *((START,) if start else ()), effects_option, runs_option, json_option)
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
@@ -325,21 +332,59 @@ def _next_after(said: Conclusion, work: Opened) -> list[str]:
 @click.command(short_help="Add an effect to a model and refit.")
 @EFFECT
 @RUN_NAMES
-@ON
+@click.option(
+    "--on",
+    multiple=True,
+    metavar="CHANNELS",
+    help="acceleration or rate, if it can act on both; for a formula also a channel's name (repeat for several).",
+)
 @click.option("--formula", metavar="TEXT", help="A term of your own, e.g. 'k * omega**2'; EFFECT is its name then.")
-@model_options()
+@click.option(
+    "--start",
+    cls=Starts,
+    multiple=True,
+    metavar="WHERE",
+    help="Where the fit of a formula's coefficient starts, with its unit: --start 'tau=10 s' (repeat for others, or to "
+    "try several); or where a new model starts: datasheet, paper or shared.",
+)
+@model_options(start=False)
 def add(
-    effect: str, names: tuple[str, ...], on: Any, formula: str | None, model: Path | None, start: str | None,
-    effects: Path | None, runs: Path, as_json: bool,
+    effect: str, names: tuple[str, ...], on: tuple[str, ...], formula: str | None, start: tuple[str, ...],
+    model: Path | None, effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Add EFFECT to the model, refit everything, and write the model with one more step of history.
 
-    Prints the errors before and after, on fitted and on held-out data.
-    """
-    from rig.repair.repair import added
+    Prints the errors before and after, on fitted and on held-out data. A term of your own needs a name that no effect
+    of the shelf has, and starts for coefficients to which it is not proportional:
 
-    work = opened(names, runs, model, start, effects)
-    _conclude(work, added(work.bench, work.model, effect, on, formula), as_json)
+    rig add creep last --formula 'k*exp(-t/tau)' --start 'tau=10 s' --on rate
+    """
+    from rig.errors import BadInput
+    from rig.formula import own_term
+    from rig.repair.repair import added, channels_named
+
+    words, starts = start_words(start), [one for one in start if "=" in one]
+    if starts and formula is None:
+        raise BadInput(f"--start: found '{starts[0]}' without a formula, wanted --formula with it")
+    work = opened(names, runs, model, words[-1] if words else None, effects)
+    quantity, channels = channels_named(work.bench, on)
+    if channels and formula is None:
+        raise BadInput(
+            f"--on: found {channels[0]} for {effect}, wanted acceleration or rate: one channel is a formula's"
+        )
+    own = None if formula is None else own_term(formula, starts, channels)
+    _conclude(work, added(work.bench, work.model, effect, quantity, own), as_json)
+
+
+def start_words(given: Sequence[str]) -> list[str]:
+    """Starts of a model among starts of coefficients. Raises BadInput for what is neither."""
+    from rig.errors import BadInput
+
+    found = [one for one in given if "=" not in one]
+    for one in found:
+        if one not in MODEL_STARTS:
+            raise BadInput(f"--start: found '{one}', wanted {', '.join(MODEL_STARTS)}, or a coefficient's 'tau=10 s'")
+    return found
 
 
 @click.command(short_help="Take an effect out of a model and refit.")

@@ -9,12 +9,12 @@ import numpy as np
 
 from rig.archive.records import Recorded, experiments
 from rig.errors import BadInput
-from rig.estimate.ranges import beyond_range
 from rig.fit.fit import Fit, State, begin, fit
 from rig.foreign.tables import foreign_of, is_foreign
 from rig.model import Term
 from rig.parts import nuisances
 from rig.parts.part import Part, Tabled
+from rig.parts.ranges import beyond_range
 from rig.parts.reading.imported import parts_of
 from rig.parts.reading.sweep import shaken
 from rig.parts.reading.turntable import spun

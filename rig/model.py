@@ -22,10 +22,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.correction.inverse import NEXT, Bend, Drift, Filtered, Inverse, Late, Lost, Nothing, Quantity, Shares, arms
 from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
 
 Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
-Quantity = Literal["acceleration", "rate"]
 Values = Mapping[str, float]
 SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
@@ -33,8 +33,9 @@ BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
 EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
 
 __all__ = [
-    "BOTH", "EVERYWHERE", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion",
-    "Parameter", "Periods", "Quantity", "Stage", "Stretches", "Term", "Values", "volts",
+    "BOTH", "EVERYWHERE", "NEXT", "SI", "Array", "Bend", "Channels", "Complexes", "Coordinate", "Drift", "Effect",
+    "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing", "Parameter", "Periods", "Quantity", "Shares",
+    "Stage", "Stretches", "Term", "Values", "arms", "volts",
 ]  # fmt: skip
 
 
@@ -132,6 +133,8 @@ class Effect:
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
+    elsewhere: ClassVar[str] = ""  # why there is nothing to undo in what a unit shows: "it belongs to the …"
+    lost: ClassVar[str] = "its file does not say how"  # why it cannot be undone, where it says no inverse
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:
         """Units of the parameters for channels of one quantity; `SI` in a unit stands for that quantity's."""
@@ -149,6 +152,10 @@ class Effect:
         """Coordinates to start a fit from; by default every combination of the coordinates' starts."""
         names = [c.name for c in self.coordinates]
         return [dict(zip(names, one, strict=True)) for one in itertools.product(*(c.starts for c in self.coordinates))]
+
+    def inverse(self, at: Values) -> Inverse:
+        """How it is undone in what a unit shows: see `rig.correction.inverse` for the kinds."""
+        return Nothing(self.elsewhere) if self.elsewhere else Lost(self.lost)
 
     # hooks: reference
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

@@ -68,6 +68,8 @@ class Channels:
 
     `axis` 0, 1, 2 in the case frame; `slot` in the scan; `side` m from the vibrometer's spot to the side (NaN: not
     stated); `sensitivity` V/SI, its relative `tolerance`, and `pole` Hz by the data sheet; `unit` groups channels.
+    For words and figures: `titles` of each one's unit, its axis in `words`, and `colours`; where nothing states them
+    a name up to its last underscore, the rest of it, and none.
     """
 
     names: tuple[str, ...]
@@ -79,6 +81,15 @@ class Channels:
     tolerance: Array
     pole: Array
     unit: tuple[str, ...]
+    titles: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    colours: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        labels = [labelled(name) for name in self.names]
+        object.__setattr__(self, "titles", self.titles or tuple(title for title, _ in labels))
+        object.__setattr__(self, "words", self.words or tuple(word for _, word in labels))
+        object.__setattr__(self, "colours", self.colours or ("",) * len(self.names))
 
     def of(self, quantity: Quantity | None) -> NDArray[np.intp]:
         """Indices of the channels of one quantity, all without."""
@@ -89,10 +100,17 @@ class Channels:
     def only(self, index: NDArray[np.intp]) -> Channels:
         """Some of them."""
         arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
-        names, unit = (tuple(all_[i] for i in index) for all_ in (self.names, self.unit))
-        return replace(self, names=names, unit=unit, **arrays)
+        labels: dict[str, Any] = {name: tuple(getattr(self, name)[i] for i in index) for name in _LABELS}
+        return replace(self, **arrays, **labels)
 
 
+def labelled(name: str) -> tuple[str, str]:
+    """`moving_gyro` and `z` of `moving_gyro_z`: how a name that nothing explains is said; it decides no number."""
+    title = name.rsplit("_", 1)[0]
+    return title, name.removeprefix(title).strip("_")
+
+
+_LABELS = ("names", "unit", "titles", "words", "colours")
 _ARRAYS = ("rates", "axis", "slot", "side", "sensitivity", "tolerance", "pole")
 
 

@@ -22,10 +22,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.correction.inverse import NEXT, Bend, Drift, Filtered, Inverse, Late, Lost, Nothing, Quantity, Shares, arms
 from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
 
 Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
-Quantity = Literal["acceleration", "rate"]
 Values = Mapping[str, float]
 SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
@@ -33,8 +33,9 @@ BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
 EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
 
 __all__ = [
-    "BOTH", "EVERYWHERE", "SI", "Array", "Channels", "Complexes", "Coordinate", "Effect", "Local", "Motion",
-    "Parameter", "Periods", "Quantity", "Stage", "Stretches", "Term", "Values", "at_work", "volts",
+    "BOTH", "EVERYWHERE", "NEXT", "SI", "Array", "Bend", "Channels", "Complexes", "Coordinate", "Drift", "Effect",
+    "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing", "Parameter", "Periods", "Quantity", "Shares",
+    "Stage", "Stretches", "Term", "Values", "arms", "at_work", "volts",
 ]  # fmt: skip
 
 
@@ -67,6 +68,8 @@ class Channels:
 
     `axis` 0, 1, 2 in the case frame; `slot` in the scan; `side` m from the vibrometer's spot to the side (NaN: not
     stated); `sensitivity` V/SI, its relative `tolerance`, and `pole` Hz by the data sheet; `unit` groups channels.
+    For words and figures: `titles` of each one's unit, its axis in `words`, and `colours`; where nothing states them
+    a name up to its last underscore, the rest of it, and none.
     """
 
     names: tuple[str, ...]
@@ -78,6 +81,15 @@ class Channels:
     tolerance: Array
     pole: Array
     unit: tuple[str, ...]
+    titles: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    colours: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        labels = [labelled(name) for name in self.names]
+        object.__setattr__(self, "titles", self.titles or tuple(title for title, _ in labels))
+        object.__setattr__(self, "words", self.words or tuple(word for _, word in labels))
+        object.__setattr__(self, "colours", self.colours or ("",) * len(self.names))
 
     def of(self, quantity: Quantity | None) -> NDArray[np.intp]:
         """Indices of the channels of one quantity, all without."""
@@ -88,10 +100,17 @@ class Channels:
     def only(self, index: NDArray[np.intp]) -> Channels:
         """Some of them."""
         arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
-        names, unit = (tuple(all_[i] for i in index) for all_ in (self.names, self.unit))
-        return replace(self, names=names, unit=unit, **arrays)
+        labels: dict[str, Any] = {name: tuple(getattr(self, name)[i] for i in index) for name in _LABELS}
+        return replace(self, **arrays, **labels)
 
 
+def labelled(name: str) -> tuple[str, str]:
+    """`moving_gyro` and `z` of `moving_gyro_z`: how a name that nothing explains is said; it decides no number."""
+    title = name.rsplit("_", 1)[0]
+    return title, name.removeprefix(title).strip("_")
+
+
+_LABELS = ("names", "unit", "titles", "words", "colours")
 _ARRAYS = ("rates", "axis", "slot", "side", "sensitivity", "tolerance", "pole")
 
 
@@ -134,6 +153,8 @@ class Effect:
     needs: ClassVar[tuple[str, ...]] = ()  # signals that a record must hold for it: temperature, supply, source
     looks_in: ClassVar[str] = ""  # "": the observables; else a test of its own, e.g. "lines", "closure"
     parts: ClassVar[frozenset[str]] = frozenset()  # empty: all at its places; else of the reference of these alone
+    elsewhere: ClassVar[str] = ""  # why there is nothing to undo in what a unit shows: "it belongs to the …"
+    lost: ClassVar[str] = "its file does not say how"  # why it cannot be undone, where it says no inverse
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:
         """Units of the parameters for channels of one quantity; `SI` in a unit stands for that quantity's."""
@@ -151,6 +172,10 @@ class Effect:
         """Coordinates to start a fit from; by default every combination of the coordinates' starts."""
         names = [c.name for c in self.coordinates]
         return [dict(zip(names, one, strict=True)) for one in itertools.product(*(c.starts for c in self.coordinates))]
+
+    def inverse(self, at: Values) -> Inverse:
+        """How it is undone in what a unit shows: see `rig.correction.inverse` for the kinds."""
+        return Nothing(self.elsewhere) if self.elsewhere else Lost(self.lost)
 
     # hooks: reference
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

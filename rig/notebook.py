@@ -6,13 +6,14 @@
     model.diagnose().candidates[0].effect      # 'cubic'
     model.add("cubic")
     [(step.effect, step.error) for step in model.history]
+    model.apply({"unit_a_x": volts}, rate=3125.0).values["unit_a_x"]      # m/s²
 
 Everything is SI inside; errors are in units of the noise, so that 1.0 is a model with nothing missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,9 @@ from rig.errors import BadInput
 from rig.model import Quantity, Term
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from rig.correction.correction import Corrected, Correction
     from rig.diagnose.conclusion import Conclusion
     from rig.diagnose.misfit import Comparison
     from rig.fit.fit import Fit
@@ -117,6 +121,27 @@ class Model:
 
         self._done = repair.removed(self._bench, self._done.model, name, on)
         return self
+
+    @property
+    def correction(self) -> Correction:
+        """The model turned round, as `apply` uses it and `rig export --model` writes it."""
+        from rig.repair.correction import correction_of
+
+        return correction_of(self.file, self._bench.shelf)
+
+    def apply(
+        self, raw: Mapping[str, ArrayLike] | ArrayLike, *, rate: float | None = None,
+        temperature: ArrayLike | None = None, supply: ArrayLike | None = None, time: ArrayLike | None = None,
+    ) -> Corrected:  # fmt: skip
+        """What the unit went through, from what it showed: m/s² and rad/s from V, by channel in `values`.
+
+        `raw`: volts by channel's name, numbers or records of one shape, or an array (channels, …) in the order of
+        `correction.names`; `counts_to_volts` makes volts of counts. `rate`: samples per second of a record, along its
+        last axis; with it filters and delays are taken out too. `temperature` °C, `supply` V and `time` s since the
+        first record began: numbers, or one for each sample. What is not undone is in `said`, a sentence each; `u` are
+        standard uncertainties by what is known of sensitivity and zero. Raises BadInput.
+        """
+        return self.correction.apply(raw, rate=rate, temperature=temperature, supply=supply, time=time)
 
     def __repr__(self) -> str:
         effects = ", ".join(entry.effect for entry in self.file.effects) or "no effect"

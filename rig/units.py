@@ -107,6 +107,7 @@ _SPELLINGS = MappingProxyType(
         "°": ("°", "deg"),
         "pk": ("pk", " pk"),
         "rms": ("rms", " rms"),
+        "√": ("√", "rt"),
     }
 )
 _SPELLED = re.compile("(" + "|".join(sorted(_SPELLINGS, key=len, reverse=True)) + ")")
@@ -192,6 +193,12 @@ _ALL_KINDS = (
           _per("V", _ACCELERATIONS, ("µ", "m", "")), "V/(m/s²)", {"V/g": 1, "mV/g": 0.1, "µV/g": 0}),
     _kind("rate_sensitivity", "a gyro sensitivity", "3.5 mV/(°/s)",
           _per("V", _RATES, ("µ", "m", "")), "V/(rad/s)", {"V/(°/s)": 1, "mV/(°/s)": 0.1, "µV/(°/s)": 0}),
+    _kind("acceleration_density", "a density of accelerometer noise", "60 µg/√Hz",
+          [*_scaled("g/√Hz", ("µ", "m", ""), STANDARD_GRAVITY), *_scaled("(m/s²)/√Hz", ("µ", "m", ""))],
+          "(m/s²)/√Hz", {"g/√Hz": 0.1, "mg/√Hz": 1, "µg/√Hz": 0}),
+    _kind("rate_density", "a density of gyro noise", "0.05 (°/s)/√Hz",
+          [*_scaled("(°/s)/√Hz", ("m", ""), *DEGREE), *_scaled("°/s/√Hz", ("m", ""), *DEGREE),
+           *_scaled("(rad/s)/√Hz", ("µ", "m", ""))], "(rad/s)/√Hz", {"(°/s)/√Hz": 0.01, "m(°/s)/√Hz": 0}),
     _kind("vibrometer_scale", "a vibrometer scale", "25 mm/s/V",
           [*_scaled("m/s/V", ("µ", "m", "")), *_IN_BRACKETS], "m/s/V", {"m/s/V": 1, "mm/s/V": 0.1, "µm/s/V": 0}),
     _kind("ratio", "a ratio", "1 %",

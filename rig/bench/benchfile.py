@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from rig import units
 from rig.bench.steps import BenchFacts, Limits
 from rig.errors import StandardOverdue
+from rig.sensor import Sensor
 from rig.units import Acceleration, Angle, Frequency, Length, PeakVoltage, Ratio, Velocity, Voltage
 from rig.yaml import config
 
@@ -90,10 +91,26 @@ class Standard(Strict):
     values: dict[str, StandardValue]
 
 
-class SensorChannel(Strict):
-    """What the data sheet says of one channel."""
+class NoiseFile(Strict):
+    """Noise by the data sheet, between limits that every part of the kind keeps."""
+
+    density: str = Field(description="of the white part, one-sided, such as 60 µg/√Hz or 0.1 (°/s)/√Hz")
+    tolerance: Ratio = Field(gt=0, description="of the density, either way")
+    corner: tuple[Frequency, Frequency] = Field(description="lowest and highest, flicker exceeds white below")
+
+    @field_validator("corner")
+    @classmethod
+    def _ascending(cls, corner: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 <= corner[0] <= corner[1]:
+            raise ValueError(f"found {corner[0]:g} Hz to {corner[1]:g} Hz, wanted the lower one first")
+        return corner
+
+
+class ChannelFile(Strict):
+    """What the data sheet says of one channel, and which others it belongs to."""
 
     part: str
+    unit: str | None = Field(default=None, min_length=1, description="channels of one unit make a triad")
     quantity: Literal["acceleration", "rate"]
     axis: Literal["x", "y", "z"]
     sensitivity: str
@@ -103,6 +120,7 @@ class SensorChannel(Strict):
     ratiometric: Voltage | None = Field(default=None, description="nominal supply, if the output follows the supply")
     temperature_coefficient: Ratio | None = Field(default=None, description="of the sensitivity, per kelvin")
     beside_spot: Length | None = Field(default=None, description="to the side of the vibrometer's spot on the shaker")
+    noise: NoiseFile | None = Field(default=None, description="by the data sheet; the calibration compares with it")
 
     @field_validator("range")
     @classmethod
@@ -111,10 +129,26 @@ class SensorChannel(Strict):
             units.parse(text, info.data["quantity"])
         return text
 
-    @property
-    def sensitivity_si(self) -> float:
-        """V/(m/s²) or V/(rad/s)."""
-        return units.parse(self.sensitivity, "sensitivity" if self.quantity == "acceleration" else "rate_sensitivity")
+    @field_validator("sensitivity")
+    @classmethod
+    def _of_its_quantity(cls, text: str, info: Any) -> str:
+        if "quantity" in info.data:  # else the quantity itself is the mistake
+            units.parse(text, "sensitivity" if info.data["quantity"] == "acceleration" else "rate_sensitivity")
+        return text
+
+    @field_validator("noise")
+    @classmethod
+    def _density_of_its_quantity(cls, noise: NoiseFile | None, info: Any) -> NoiseFile | None:
+        if noise is not None and "quantity" in info.data:
+            units.parse(noise.density, f"{info.data['quantity']}_density")
+        return noise
+
+
+class UnitFile(Strict):
+    """How a unit of channels is called and drawn."""
+
+    title: str | None = Field(default=None, min_length=1)
+    colour: str | None = Field(default=None, pattern="^#[0-9A-Fa-f]{6}$")
 
 
 class SensorFile(Strict):
@@ -122,7 +156,41 @@ class SensorFile(Strict):
 
     sensor: str
     serial: str
-    channels: dict[str, SensorChannel]
+    channels: dict[str, ChannelFile] = Field(min_length=1)
+    units: dict[str, UnitFile] = Field(default={}, description="by the name that channels give as their unit")
+    primary: str | None = Field(default=None, description="the unit that the analyzer's input 2 is plugged to")
+
+    @field_validator("channels")
+    @classmethod
+    def _axes_once(cls, channels: dict[str, ChannelFile]) -> dict[str, ChannelFile]:
+        axes: dict[str, dict[str, str]] = {}
+        quantities: dict[str, str] = {}
+        for name, channel in channels.items():
+            if channel.unit is None:
+                continue
+            if quantities.setdefault(channel.unit, channel.quantity) != channel.quantity:
+                raise ValueError(f"found accelerometers and gyros in {channel.unit}, wanted a unit of one quantity")
+            other = axes.setdefault(channel.unit, {}).setdefault(channel.axis, name)
+            if other != name:
+                raise ValueError(f"found {other} and {name} along {channel.axis} in {channel.unit}, wanted one of them")
+        return channels
+
+    @field_validator("units")
+    @classmethod
+    def _units_known(cls, found: dict[str, UnitFile], info: Any) -> dict[str, UnitFile]:
+        known = {channel.unit for channel in info.data.get("channels", {}).values()}
+        for name in found if known else ():
+            if name not in known:
+                raise ValueError(f"found {name}, wanted a unit that a channel names")
+        return found
+
+    @field_validator("primary")
+    @classmethod
+    def _primary_known(cls, name: str | None, info: Any) -> str | None:
+        known = {c.unit for c in info.data.get("channels", {}).values() if c.quantity == "acceleration"}
+        if name is not None and known and name not in known:
+            raise ValueError(f"found {name}, wanted a unit of accelerometers that a channel names")
+        return name
 
 
 class BenchFile(Strict):
@@ -157,6 +225,11 @@ class BenchDescription:
     @property
     def simulated(self) -> bool:
         return self.file.simulated is not None
+
+    @property
+    def unit(self) -> Sensor:
+        """The unit under test as a value."""
+        return Sensor.stated(self.sensor.model_dump(mode="json"))
 
     def beside(self, relative: str) -> Path:
         """A path written in the bench file, relative to the file."""

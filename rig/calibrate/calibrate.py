@@ -28,7 +28,7 @@ from rig.errors import BadInput
 from rig.foreign.tables import is_foreign
 from rig.parts.reading.revolutions import Rotation, rotation_of
 from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
-from rig.sensor import Sensor, sensors_of
+from rig.sensor import ROTATIONS, Sensor, SensorChannel, SheetNoise
 from rig.signals.noise import coefficients
 
 UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
@@ -67,10 +67,10 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     if foreign := [run.name for run in runs if is_foreign(run)]:
         raise BadInput(f"{foreign[0]}: found imported data, wanted runs of a bench (an imported unit: rig fit)")
     header = _common_header(runs)
-    sensors = sensors_of(header)
-    poles = {name: sensor.bandwidth for name, sensor in sensors.items()}
+    sensor = Sensor.of(header)
+    poles = {channel.name: channel.bandwidth for channel in sensor.channels}
     done = [one for records in runs for one in experiments(records)]
-    bench = _Bench(done, header, sensors, alignment_of(runs), *resting.noise_of(done, sensors, poles))
+    bench = _Bench(done, header, sensor, alignment_of(runs), *resting.noise_of(done, sensor.names, poles))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
     results = [*shaken.results(), *turned.results()]
@@ -78,24 +78,24 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
-    stated = header["sensor"]["channels"]
-    paper = paper_method.accelerometer_rows(shaken.everything(), stated, runs)
-    paper += [row for one in done for row in paper_method.gyro_rows(one, stated)]
+    paper = paper_method.accelerometer_rows(shaken.everything(), sensor, runs)
+    paper += [row for one in done for row in paper_method.gyro_rows(one, sensor)]
     return Calibration(
         name=name,
-        sensor=str(header["sensor"]["sensor"]),
-        serial=str(header["sensor"]["serial"]),
+        sensor=sensor.name,
+        serial=sensor.serial,
         made=max(entry.t for records in runs for entry in records.lines),
         simulated=any(records.header["simulated"] for records in runs),
         sources=tuple(_source(records, (digests or {}).get(records.name, "")) for records in runs),
         standards=tuple(header["standards"]),
         conditions=resting.conditions_of(runs),
-        results=tuple(_judged(_ordered(results, sensors), sensors)),
+        results=tuple(_judged(_ordered(results, sensor), sensor)),
         responses=shaken.responses(),
         paper=tuple(paper),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
         flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags()])),
         program={key: str(value) for key, value in header["program"].items()},
+        unit=header["sensor"],
     )
 
 
@@ -122,7 +122,7 @@ class _Bench:
 
     runs: Sequence[Recorded]
     header: Mapping[str, Any]
-    sensors: Mapping[str, Sensor]
+    sensor: Sensor
     alignment: Alignment
     noise: Mapping[str, Resting]
     without_noise: Mapping[str, str]
@@ -142,10 +142,11 @@ class _Bench:
         """Noise referred to the input by each channel's own sensitivity, or the data sheet's if it has none."""
         own = {r.channel: r for r in sensitivities if r.measurand == "sensitivity" and r.value is not None}
         for name, noise in self.noise.items():
-            yield from _noise_of(self.sensors[name], noise, scale_of(self.sensors[name], own.get(name)))
+            channel = self.sensor.channel(name)
+            yield from _noise_of(channel, noise, scale_of(channel, own.get(name)))
         for name, why in self.without_noise.items():
-            yield not_determined(name, "deviation", DEVIATION, self.sensors[name].unit, why)
-        scales = {n: scale_of(self.sensors[n], r) for n, r in own.items()}
+            yield not_determined(name, "deviation", DEVIATION, self.sensor.channel(name).unit, why)
+        scales = {n: scale_of(self.sensor.channel(n), r) for n, r in own.items()}
         yield from turned.noise_in_motion(scales)
         yield from shaken.noise_in_motion(scales)
 
@@ -159,7 +160,9 @@ class Scale:
     remarks: tuple[str, ...]
     reference: str
 
-    def result(self, sensor: Sensor, measurand: str, title: str, unit: str, volts: float, u: float, how: str) -> Result:
+    def result(
+        self, sensor: SensorChannel, measurand: str, title: str, unit: str, volts: float, u: float, how: str
+    ) -> Result:
         """A noise quantity in V (or V/√Hz …) with standard uncertainty `u`, referred to the input."""
         value = volts / abs(self.sensitivity)
         lines = [Contribution("estimate of the spectrum", "A", "normal", u / abs(self.sensitivity), unit, 1.0)]
@@ -170,7 +173,7 @@ class Scale:
         )
 
 
-def scale_of(sensor: Sensor, own: Result | None) -> Scale:
+def scale_of(sensor: SensorChannel, own: Result | None) -> Scale:
     """The channel's own sensitivity if these runs determine it, else the data sheet's within its tolerance."""
     if own is not None and own.value is not None:
         known = Contribution("sensitivity", "B", "normal", own.u / abs(own.value), "1", 1.0, source=own.reference)
@@ -185,7 +188,7 @@ def scale_of(sensor: Sensor, own: Result | None) -> Scale:
     return Scale(sensor.nominal, line, tuple(remarks), "data sheet's sensitivity")
 
 
-def _noise_of(sensor: Sensor, noise: Resting, by: Scale) -> Iterator[Result]:
+def _noise_of(sensor: SensorChannel, noise: Resting, by: Scale) -> Iterator[Result]:
     how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
     title = DEVIATION
     if noise.deviation is None:
@@ -204,8 +207,23 @@ def _noise_of(sensor: Sensor, noise: Resting, by: Scale) -> Iterator[Result]:
         if one.value is None or one.u is None:
             yield not_determined(sensor.name, measurand, title, unit, one.reason)
         else:
-            yield by.result(sensor, measurand, title, unit, one.value, one.u, how)
+            result = by.result(sensor, measurand, title, unit, one.value, one.u, how)
+            yield _beside_sheet(result, sensor.noise) if key == "N" else result
     yield _bandwidth(sensor, noise, how)
+
+
+def _beside_sheet(result: Result, sheet: SheetNoise | None) -> Result:
+    """A measured N with what the data sheet says of it; a sheet's density is one-sided, √2·N."""
+    if sheet is None or result.value is None:
+        return result
+    kind = f"{'rate' if 'rad' in result.unit else 'acceleration'}_density"
+    ratio = math.sqrt(2.0) * result.value / sheet.density
+    inside = abs(ratio - 1.0) <= sheet.tolerance + math.sqrt(2.0) * result.expanded / sheet.density
+    said = (
+        f"√2·N is {ratio:.3g} of the data sheet's {units.format_quantity(sheet.density, kind)}: "
+        f"{'within' if inside else 'outside'} its ± {units.format_quantity(sheet.tolerance, 'ratio', unit='%')}"
+    )
+    return replace(result, remarks=(*result.remarks, said))
 
 
 def _u_deviation(value: float, dof: float) -> float:
@@ -213,7 +231,7 @@ def _u_deviation(value: float, dof: float) -> float:
     return value / math.sqrt(2.0 * max(dof, 1.0))
 
 
-def _bandwidth(sensor: Sensor, noise: Resting, how: str) -> Result:
+def _bandwidth(sensor: SensorChannel, noise: Resting, how: str) -> Result:
     title = "noise bandwidth of the white noise, π/2 of the corner"
     if "pole" in noise.fit.refused or not math.isfinite(noise.fit.model.pole):
         why = noise.fit.refused.get("pole", "no corner in the spectrum")
@@ -244,33 +262,30 @@ class _Shaken:
         self._fit()
 
     def _refuse_wrong_axis(self) -> None:
-        axes = {n: s.axis for n, s in self._bench.sensors.items() if n.startswith(("unit_a", "unit_b"))}
+        axes = {c.name: c.axis for c in self._bench.sensor.channels if not c.is_rate}
         for group in self.points:
             moved = wrong_axis(group, axes)
             if moved is not None:
                 raise BadInput(f"{group[0].run}: found the motion along {moved}, wanted it along {group[0].axis}: "
                                "the cube stands on another face than the run says")  # fmt: skip
 
-    def _driven(self, axis: str) -> list[Sensor]:
-        return [s for s in self._bench.sensors.values() if s.quantity == "acceleration" and s.axis == axis]
-
     def _fit(self) -> None:
         chain = self._chain
         if chain is None:
             return
         for group in self.points:
-            for sensor in self._driven(group[0].axis):
+            for sensor in self._bench.sensor.along(group[0].axis):
                 if sensor.name in group[0].lines:
                     self._fit_mounting(group, sensor, chain)
         for name, several in self._fits.items():
-            sensor = self._bench.sensors[name]
+            sensor = self._bench.sensor.channel(name)
             merged = several[0]
             if len(several) > 1:
                 whole = accelerometers.observed(self._points_of(sensor.axis), name)
                 merged = accelerometers.fit_channel(whole, name, chain, sensor.bandwidth)
             self._whole[name] = merged
 
-    def _fit_mounting(self, group: Sequence[SinePoint], sensor: Sensor, chain: Chain) -> None:
+    def _fit_mounting(self, group: Sequence[SinePoint], sensor: SensorChannel, chain: Chain) -> None:
         """One channel in one mounting; a channel without usable points does not take the others with it."""
         try:
             seen = accelerometers.observed(group, sensor.name)
@@ -297,7 +312,7 @@ class _Shaken:
         for name in [one for one in self._unusable if one not in self._whole]:
             yield not_determined(name, "sensitivity", "sensitivity at low frequency", SENSITIVITY, self._unusable[name])
         for name, fit in self._whole.items():
-            sensor = bench.sensors[name]
+            sensor = bench.sensor.channel(name)
             yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
             yield accelerometers.pole_result(fit)
             yield accelerometers.curvature_result(fit.seen, name, chain, sensor.bandwidth)
@@ -311,7 +326,7 @@ class _Shaken:
         """Of every driven channel."""
         for name in self._whole:
             if name in scales:
-                sensor = self._bench.sensors[name]
+                sensor = self._bench.sensor.channel(name)
                 refer = partial(scales[name].result, sensor)
                 yield accelerometers.motion_noise_result(self._points_of(sensor.axis), name, sensor.unit, refer)
 
@@ -319,7 +334,7 @@ class _Shaken:
         """Zero output from the records at rest in which the axis was horizontal."""
         title = "zero output"
         for name in self._whole:
-            sensor = self._bench.sensors[name]
+            sensor = self._bench.sensor.channel(name)
             found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
             if not found or name not in self._bench.noise:
                 why = "no record at rest with this axis horizontal: `static` of a sweep along another axis, or a tumble"
@@ -327,7 +342,7 @@ class _Shaken:
             else:
                 yield self._offset(sensor, found)
 
-    def _offset(self, sensor: Sensor, found: Sequence[tuple[float, float, float]]) -> Result:
+    def _offset(self, sensor: SensorChannel, found: Sequence[tuple[float, float, float]]) -> Result:
         """Generalised least-squares mean: records that wander together are not counted as independent."""
         noise = self._bench.noise[sensor.name]
         begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
@@ -344,8 +359,9 @@ class _Shaken:
     def responses(self) -> dict[str, tuple[ResponsePoint, ...]]:
         if self._chain is None:
             return {}
+        axes = {name: self._bench.sensor.channel(name).axis for name in self._whole}
         return {
-            name: accelerometers.response_table(self._points_of(self._bench.sensors[name].axis), fit, self._chain)
+            name: accelerometers.response_table(self._points_of(axes[name]), fit, self._chain)
             for name, fit in self._whole.items()
         }
 
@@ -364,7 +380,7 @@ def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tupl
     return float(weights @ volts) / total, total**-0.5
 
 
-def _level_rests(records: Recorded, sensor: Sensor) -> Iterator[tuple[float, float, float]]:
+def _level_rests(records: Recorded, sensor: SensorChannel) -> Iterator[tuple[float, float, float]]:
     """Begin, end (bench clock, s) and mean volts of every record at rest on the shaker with this axis horizontal."""
     for entry, mount in mounts(records):
         body = entry.body
@@ -374,7 +390,7 @@ def _level_rests(records: Recorded, sensor: Sensor) -> Iterator[tuple[float, flo
             or mount["place"] != "shaker"
             or not str(body.get("purpose", "")).startswith("static_")
             or "samples" not in body
-            or UP[str(mount["axis"])] == "xyz".index(sensor.axis)
+            or UP[str(mount["axis"])] == sensor.place
         ):
             continue
         found = signals(records.samples(body["samples"]))
@@ -392,25 +408,24 @@ class _Turned:
         self._fits: dict[str, gyros.GyroFit] = {}
         self._unusable: dict[str, str] = {}
         self._setup: gyros.Setup | None = None
-        nominal = {n: s.nominal for n, s in bench.sensors.items()}
         for records in bench.runs:
             phases = {body["phase"] for body in records.points.values() if "phase" in body}
             if phases and ("hold" in phases or records.status == "completed"):  # an interrupted one may not have held
                 self._setup = self._setup or self._made(records)
                 wired = records.header["bench_file"]["cables"]["turntable"]
-                channels = [c for c in wired if c in bench.sensors or c == "supply"]
-                rotation = rotation_of(records, channels, nominal)
+                channels = [c for c in wired if c in bench.sensor or c == "supply"]
+                rotation = rotation_of(records, channels, bench.sensor)
                 self._rotations.setdefault(rotation.blocks[0].mount.axis, []).append(rotation)
         if self._setup is not None:
             for axis, rotations in self._rotations.items():
-                for name in (f"gyro_{axis}", f"backup_{axis}"):
-                    self._fit(name, rotations, self._setup)
+                for gyro in bench.sensor.about(axis):
+                    self._fit(gyro.name, rotations, self._setup)
 
     def _fit(self, name: str, rotations: Sequence[Rotation], setup: gyros.Setup) -> None:
         """One gyro on the platter's axis; why it cannot be, if its records cannot be used."""
-        clipped = sum(rotation.clipped(name) for rotation in rotations)
-        if name not in self._bench.sensors:
+        if not any(name in block.volts for rotation in rotations for block in rotation.blocks):
             return
+        clipped = sum(rotation.clipped(name) for rotation in rotations)
         if clipped:
             self._unusable[name] = f"{rotations[0].run}: clipped ({clipped} samples)"
         elif name not in self._bench.noise:
@@ -419,15 +434,15 @@ class _Turned:
             self._fits[name] = gyros.fit_gyro(rotations, name, self._bench.noise[name], setup)
 
     def _made(self, records: Recorded) -> gyros.Setup:
-        limits, sensors = self._bench.alignment, self._bench.sensors
+        limits, channels = self._bench.alignment, self._bench.sensor.channels
         return gyros.Setup(
             time_base=reference(records, "time_base", "rate"),
             tilt=limits.mount,
             radius=limits.radius,
             gravity=reference(records, "gravity", "gravity").value,
             temperature=self._bench.temperature,
-            ratiometric={n: s.ratiometric for n, s in sensors.items() if s.ratiometric is not None},
-            drift={n: s.drift for n, s in sensors.items() if s.drift is not None},
+            ratiometric={c.name: c.ratiometric for c in channels if c.ratiometric is not None},
+            drift={c.name: c.drift for c in channels if c.drift is not None},
         )
 
     def results(self) -> Iterator[Result]:
@@ -438,10 +453,10 @@ class _Turned:
             yield not_determined(name, "sensitivity", "sensitivity", gyros.SENSITIVITY, why)
         for axis, rotations in self._rotations.items():
             for name in [one for one in self._bench.noise if one not in self._unusable]:
-                sensor = self._bench.sensors[name]
-                if name in self._fits and name.endswith(f"_{axis}"):
+                sensor = self._bench.sensor.channel(name)
+                if name in self._fits and sensor.axis == ROTATIONS[axis]:
                     yield from self._gyro(rotations, name, setup)
-                elif sensor.quantity == "rate" and name in rotations[0].blocks[0].volts:
+                elif sensor.is_rate and name in rotations[0].blocks[0].volts:
                     own = self._fits[name].sensitivity if name in self._fits else sensor.nominal
                     yield gyros.coupling_result(rotations, name, axis, own, self._bench.noise[name], setup)
         yield from self._centripetal(setup)
@@ -455,10 +470,10 @@ class _Turned:
     def _centripetal(self, setup: gyros.Setup) -> Iterator[Result]:
         everything = [r for several in self._rotations.values() for r in several]
         for name, noise in self._bench.noise.items():
-            sensor = self._bench.sensors[name]
+            sensor = self._bench.sensor.channel(name)
             with_it = [r for r in everything if name in r.blocks[0].volts and not r.clipped(name)]
-            if sensor.quantity == "acceleration" and with_it:
-                found = gyros.centripetal_result(with_it, name, "xyz".index(sensor.axis), noise, setup)
+            if not sensor.is_rate and with_it:
+                found = gyros.centripetal_result(with_it, name, sensor.place, noise, setup)
                 if found is not None:
                     yield found
 
@@ -467,7 +482,7 @@ class _Turned:
         for rotations in self._rotations.values():
             for name, lines in rotations[0].in_motion.items():
                 if name in own and name in self._bench.noise:
-                    sensor = self._bench.sensors[name]
+                    sensor = self._bench.sensor.channel(name)
                     value, dof, why = resting.deviation(lines, self._bench.noise[name].fit, rotations[0].step)
                     if value is None:
                         yield not_determined(name, "deviation_in_motion", title, sensor.unit, why)
@@ -484,28 +499,28 @@ class _Turned:
 
 def _tumble_results(bench: _Bench) -> Iterator[Result]:
     for records in bench.runs:
-        yield from tumbling.results(records, bench.sensors, bench.noise, bench.alignment.mount)
+        yield from tumbling.results(records, bench.sensor, bench.noise, bench.alignment.mount)
 
 
-def _ordered(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> list[Result]:
+def _ordered(results: Iterable[Result], sensor: Sensor) -> list[Result]:
     """By channel as in the sensor file; of a measurand determined twice (offset: sweep and tumble) the better one."""
     best: dict[str, Result] = {}
     for result in results:
         before = best.get(result.key)
         if before is None or (result.determined and (not before.determined or result.u < before.u)):
             best[result.key] = result
-    places = {name: place for place, name in enumerate(sensors)}
+    places = {name: place for place, name in enumerate(sensor.names)}
     return sorted(best.values(), key=lambda r: places.get(r.channel, len(places)))
 
 
-def _judged(results: Iterable[Result], sensors: Mapping[str, Sensor]) -> Iterator[Result]:
+def _judged(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
     """Sensitivities against the data sheet's tolerance, with a guard band of U."""
     for result in results:
-        sensor = sensors.get(result.channel)
-        if result.measurand != "sensitivity" or result.value is None or sensor is None or sensor.tolerance is None:
+        channel = sensor.channel(result.channel) if result.channel in sensor else None
+        if result.measurand != "sensitivity" or result.value is None or channel is None or channel.tolerance is None:
             yield result
             continue
-        low, high = sorted(sensor.nominal * (1.0 + sign * sensor.tolerance) for sign in (-1.0, 1.0))
+        low, high = sorted(channel.nominal * (1.0 + sign * channel.tolerance) for sign in (-1.0, 1.0))
         yield replace(result, low=low, high=high, verdict=verdict(abs(result.value), result.expanded, low, high))
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rig.calibrate.budget import Budget, Contribution
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
+from rig.sensor import AXES, ROTATIONS, Sensor
 
 FORMAT = 1
 PROBABILITY = 0.95
@@ -84,6 +85,21 @@ class Result:
         return math.nan if self.budget is None else self.budget.expanded(PROBABILITY)
 
 
+def _named(calibration: Calibration) -> Sensor:
+    """Of a file from before the sensor was kept with it: its channels were always called `<unit>_<axis>`.
+
+    Only what belongs together is known; sensitivity, range and the like are placeholders.
+    """
+    rows: dict[str, dict[str, str]] = {}
+    for name in calibration.channels():
+        unit, _, word = name.rpartition("_")
+        quantity, si = ("rate", "rad/s") if word in ROTATIONS else ("acceleration", "m/s²")
+        if (axis := ROTATIONS.get(word, word)) in AXES:
+            rows[name] = {"part": "", "unit": unit, "quantity": quantity, "axis": axis, "range": ""}
+            rows[name] |= {"sensitivity": f"1 V/({si})", "bandwidth": "1 Hz"}
+    return Sensor.stated({"sensor": calibration.sensor, "serial": calibration.serial, "channels": rows})
+
+
 def not_determined(channel: str, measurand: str, title: str, unit: str, why: str) -> Result:
     """A result that says why there is none."""
     return Result(channel, measurand, title, None, unit, status="not determined", remarks=(why,))
@@ -147,7 +163,8 @@ class Calibration:
 
     `made` is the bench-clock time (s since 1970 UTC) of the newest record used. `conditions` holds mean, lowest and
     highest `temperature` (°C) and `supply` (V). `standards` are as in the bench file. `overdue` names standards that
-    were used past their due date by explicit order. `flags` concern the calibration as a whole.
+    were used past their due date by explicit order. `flags` concern the calibration as a whole. `unit` is the sensor
+    file's content.
     """
 
     name: str
@@ -164,6 +181,12 @@ class Calibration:
     overdue: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
     program: Mapping[str, str] = field(default_factory=dict)
+    unit: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def under_test(self) -> Sensor:
+        """The unit as its sensor file states it; of a calibration from before it was kept, as its results name it."""
+        return Sensor.stated(self.unit) if self.unit else _named(self)
 
     def result(self, key: str) -> Result:
         """One result; raises BadInput if there is none of that key."""
@@ -288,6 +311,7 @@ def _calibration(body: Mapping[str, Any]) -> Calibration:
         paper=tuple(PaperRow(**row) for row in body["paper"]),
         overdue=tuple(body["overdue"]),
         flags=tuple(body["flags"]),
+        unit=body.get("unit") or {},
     )
 
 

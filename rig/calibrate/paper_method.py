@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import units
 from rig.archive.records import Recorded, signals_of
 from rig.calibrate.calibration import PaperRow
 from rig.errors import BadInput
 from rig.parts.reading.vibration import SinePoint
 from rig.record import Samples
+from rig.sensor import Sensor, SensorChannel
 from rig.signals import tone
 from rig.signals.encoder import LINES
 from rig.signals.rotation import Edges, edges_of, encoder_settings
@@ -39,7 +39,6 @@ Array = NDArray[np.float64]
 AVERAGED = 20  # lines in the moving average
 NOMINAL_ZERO = 2.5  # V, what a part with a fixed reference gives at rest
 CROSS_AXIS = 67.0  # Hz of the paper's figures 4 and 5
-ROWS = {"pitch": "Pitch", "roll": "Roll", "yaw": "Yaw"}
 TURNING = ("spin_up", "hold", "perturbed", "coast_down")
 
 
@@ -132,11 +131,11 @@ def held(edges: Edges, count: int, sign: float = 1.0) -> Held:
     return Held(edges.times[count:], rates, float(edges.times[-1]))
 
 
-def volts_about_zero(samples: Samples, name: str, sensor: Mapping[str, Any]) -> Array:
+def volts_about_zero(samples: Samples, gyro: SensorChannel) -> Array:
     """Output of a gyro about its nominal zero, V, shape (n,): V_R of eq. 11 for a ratiometric part."""
-    if sensor.get("ratiometric"):
-        return v_r(samples.volts(name), samples.volts("supply"))
-    return samples.volts(name) - NOMINAL_ZERO
+    if gyro.ratiometric:
+        return v_r(samples.volts(gyro.name), samples.volts("supply"))
+    return samples.volts(gyro.name) - NOMINAL_ZERO
 
 
 def axis_sign(body: Mapping[str, Any]) -> float:
@@ -144,11 +143,11 @@ def axis_sign(body: Mapping[str, Any]) -> float:
     return -1.0 if body["inverted"] else 1.0
 
 
-def gyro_rows(records: Recorded, sensors: Mapping[str, Mapping[str, Any]]) -> list[PaperRow]:
+def gyro_rows(records: Recorded, sensor: Sensor) -> list[PaperRow]:
     """The paper's estimates for the gyros on the platter's axis in one turntable run; none if nothing was held.
 
     Eq. 13 over the holds, eq. 12 over everything that turned, each with raw line intervals and with the moving
-    average. `sensors` are the channels in the run's header. Raises BadInput if the encoder gave no rate in a hold.
+    average. Raises BadInput if the encoder gave no rate in a hold.
     """
     found: dict[tuple[str, int], _Estimates] = {}
     for body in records.points.values():
@@ -157,11 +156,13 @@ def gyro_rows(records: Recorded, sensors: Mapping[str, Mapping[str, Any]]) -> li
         edges = _edges(records, body)
         if edges is None:
             continue
-        names = [n for n in (f"gyro_{body['gyro_axis']}", f"backup_{body['gyro_axis']}") if n in sensors]
+        gyros = sensor.about(body["gyro_axis"])
         references = {count: held(edges, count, axis_sign(body)) for count in (1, AVERAGED)}
         for samples in records.pieces(body["samples"]):
-            _gather(found, samples, names, references, sensors, body["phase"] == "hold")
-    return [row for (name, count), one in found.items() for row in _rows(name, count, one, sensors[name])]
+            recorded = {channel.name for channel in samples.channels}
+            wired = [gyro for gyro in gyros if gyro.name in recorded]
+            _gather(found, samples, wired, references, body["phase"] == "hold")
+    return [row for (name, count), one in found.items() for row in _rows(name, count, one, sensor)]
 
 
 def _edges(records: Recorded, body: Mapping[str, Any]) -> Edges | None:
@@ -211,30 +212,31 @@ class _Estimates:
 def _gather(
     found: dict[tuple[str, int], _Estimates],
     samples: Samples,
-    names: Iterable[str],
+    gyros: Iterable[SensorChannel],
     references: Mapping[int, Held],
-    sensors: Mapping[str, Mapping[str, Any]],
     hold: bool,
 ) -> None:
     """Add one stretch of a record to the estimates of every channel and reference."""
-    for name in names:
-        instants, volts = samples.instants(name), volts_about_zero(samples, name, sensors[name])
+    for gyro in gyros:
+        instants, volts = samples.instants(gyro.name), volts_about_zero(samples, gyro)
         for count, reference in references.items():
             inside, rate = reference.at(instants)
             if not len(rate):
                 continue
-            one = found.setdefault((name, count), _Estimates())
+            one = found.setdefault((gyro.name, count), _Estimates())
             one.line.add(volts[inside], rate)
             if hold:
                 one.ratios += mean_sensitivity(volts[inside], rate) * len(rate)
                 one.held += len(rate)
 
 
-def _rows(name: str, count: int, one: _Estimates, sensor: Mapping[str, Any]) -> Iterable[PaperRow]:
+def _rows(name: str, count: int, one: _Estimates, sensor: Sensor) -> Iterable[PaperRow]:
     mean = "raw intervals" if count == 1 else f"moving average of {count} lines"
     squares = "raw" if count == 1 else mean
-    row = "Backup Gyros" if name.startswith("backup") else ROWS.get(name.split("_")[-1], name)
-    nominal, unit = nominal_sensitivity(sensor), "V/(rad/s)"
+    gyro, triad = sensor.channel(name), sensor.triad_of(name)
+    first = sensor.of_quantity("rate")[0] == triad
+    row = gyro.word.capitalize() if first else triad.title.title()  # the paper's Table II has one row for all others
+    nominal, unit = gyro.nominal, "V/(rad/s)"
     if one.held:
         value = one.ratios / one.held
         yield PaperRow("II", row, name, f"eq. 13, mean, {mean}", value, unit, nominal, f"{name}.sensitivity")
@@ -242,15 +244,7 @@ def _rows(name: str, count: int, one: _Estimates, sensor: Mapping[str, Any]) -> 
     yield PaperRow("II", row, name, f"eq. 12, least squares, {squares}", slope, unit, nominal, f"{name}.sensitivity")
 
 
-def nominal_sensitivity(sensor: Mapping[str, Any]) -> float:
-    """Sensitivity by the data sheet, V/(m/s²) or V/(rad/s)."""
-    rate = sensor["quantity"] == "rate"
-    return float(units.parse(str(sensor["sensitivity"]), "rate_sensitivity" if rate else "sensitivity"))
-
-
-def accelerometer_rows(
-    points: Sequence[SinePoint], sensors: Mapping[str, Mapping[str, Any]], runs: Sequence[Recorded] = ()
-) -> list[PaperRow]:
+def accelerometer_rows(points: Sequence[SinePoint], sensor: Sensor, runs: Sequence[Recorded] = ()) -> list[PaperRow]:
     """The paper's estimates for every accelerometer on the axis that was driven.
 
     Eq. 8 by least squares over all points and over those below a quarter of the part's bandwidth (a sensor with an
@@ -258,18 +252,17 @@ def accelerometer_rows(
     among `runs`. Channels with fewer than three points get none.
     """
     rows: list[PaperRow] = []
-    for name, sensor in sensors.items():
-        mine = [p for p in points if sensor["quantity"] == "acceleration" and p.axis == sensor["axis"]]
-        mine = [p for p in mine if name in p.lines]
+    for channel in sensor.channels:
+        mine = [p for p in points if not channel.is_rate and p.axis == channel.axis and channel.name in p.lines]
         if len(mine) >= 3:
-            rows += [_accelerometer_row(name, sensor, *found) for found in _estimates(name, sensor, mine, runs)]
+            rows += [_accelerometer_row(channel, *found) for found in _estimates(channel, mine, runs)]
     return rows
 
 
 def _estimates(
-    name: str, sensor: Mapping[str, Any], points: Sequence[SinePoint], runs: Sequence[Recorded]
+    channel: SensorChannel, points: Sequence[SinePoint], runs: Sequence[Recorded]
 ) -> Iterable[tuple[str, float]]:
-    quarter = 0.25 * float(units.parse(str(sensor["bandwidth"]), "frequency"))
+    name, quarter = channel.name, 0.25 * channel.bandwidth
     low = [p for p in points if p.frequency <= quarter]
     yield "eq. 8, least squares, all frequencies", _line_sensitivity(name, points)
     if 3 <= len(low) < len(points):
@@ -298,7 +291,6 @@ def _integrated_sensitivity(name: str, point: SinePoint, records: Recorded) -> f
     return abs(integral) * 2.0 * math.pi * point.frequency / point.peak
 
 
-def _accelerometer_row(name: str, sensor: Mapping[str, Any], estimate: str, value: float) -> PaperRow:
-    row = f"{str(sensor['range']).replace(' ', '')} Unit"
-    nominal = nominal_sensitivity(sensor)
-    return PaperRow("I", row, name, estimate, value, "V/(m/s²)", nominal, f"{name}.sensitivity")
+def _accelerometer_row(channel: SensorChannel, estimate: str, value: float) -> PaperRow:
+    row, ours = f"{channel.range.replace(' ', '')} Unit", f"{channel.name}.sensitivity"
+    return PaperRow("I", row, channel.name, estimate, value, "V/(m/s²)", channel.nominal, ours)

@@ -71,10 +71,10 @@ class Triad:
 
 
 @dataclass(frozen=True)
-class Triad12:
-    """Matrix (3, 3) V/(m/s²) from the frame of the poses, offsets (3,) V.
+class Directions:
+    """Matrix (c, 3) V/(m/s²) from the frame of the poses, offsets (c,) V, of c channels: three are a triad.
 
-    `covariance` (12, 12) has each channel's row of the matrix followed by its offset, and gravity's common share.
+    `covariance` (4c, 4c) has each channel's row of the matrix followed by its offset, and gravity's common share.
     """
 
     matrix: Floats
@@ -84,14 +84,26 @@ class Triad12:
     dof: int
 
     @property
+    def sizes(self) -> tuple[Floats, Floats]:
+        """Sensitivity of every channel along its own axis, V/(m/s²), and its standard uncertainty, (c,) each."""
+        parameters = np.column_stack([self.matrix, self.offsets]).ravel()
+        sizes, covariance = propagate(_sizes, parameters, self.covariance)
+        return sizes, np.sqrt(np.diag(covariance))
+
+    @property
+    def u_offsets(self) -> Floats:
+        """Standard uncertainty of the offsets, V, (c,)."""
+        return np.sqrt(np.diag(self.covariance))[3::4]
+
+    @property
     def intrinsic(self) -> Triad:
-        """The nine quantities that do not depend on the frame, with their covariance (GUM 5.2)."""
+        """Of a triad the nine quantities that do not depend on the frame, with their covariance (GUM 5.2)."""
         parameters = np.column_stack([self.matrix, self.offsets]).ravel()
         nine, covariance = propagate(_intrinsic, parameters, self.covariance)
         return Triad(nine[:3], nine[3:6], nine[6:], covariance, self.chi2, self.dof)
 
     def specific_force(self, volts: ArrayLike) -> Floats:
-        """Specific force in m/s² in the frame of the poses, from volts (n, 3); shape (n, 3)."""
+        """Of a triad: specific force in m/s² in the frame of the poses, from volts (n, 3); shape (n, 3)."""
         return np.asarray(np.linalg.solve(self.matrix, (np.asarray(volts, float) - self.offsets).T).T, float)
 
 
@@ -128,34 +140,36 @@ def fit_magnitude(volts: ArrayLike, gravity: float, u_gravity: float, u_volts: A
 
 def fit_directions(
     volts: ArrayLike, up: ArrayLike, gravity: float, u_gravity: float, u_volts: ArrayLike, u_up: float = 0.0
-) -> Triad12:
-    """Twelve parameters from poses with known direction of up.
+) -> Directions:
+    """Four parameters of each channel, twelve of a triad, from poses with known direction of up.
 
-    `volts` (n, 3); `up` (n, 3) unit vectors in the frame of the case; `u_up` in rad is the standard uncertainty of each
-    pose about any axis, independent between poses: it moves the three channels together. The rest as for
+    `volts` (n, c); `up` (n, 3) unit vectors in the frame of the case; `u_up` in rad is the standard uncertainty of each
+    pose about any axis, independent between poses: it moves the channels together. The rest as for
     `fit_magnitude`. A constant rotation of the frame itself is not seen here; it adds to the alignment of the axes and
     leaves the intrinsic quantities alone. Raises BadInput for fewer than four poses, directions that are no unit
     vectors, or poses that leave a column undetermined.
     """
-    volts, sigma = _readings(volts, u_volts)
+    volts, sigma = _readings(volts, u_volts, None)
+    count = volts.shape[1]
     up = _unit_vectors(up, len(volts))
     _check_gravity(gravity, u_gravity)
     columns = np.column_stack([gravity * up, np.ones(len(up))])
     _check_columns(np.column_stack([up, np.ones(len(up))]))
-    design = np.einsum("nc,ij->nijc", columns, np.eye(3)).reshape(-1, 12)
-    matrix, previous = np.zeros((3, 3)), np.full(12, math.inf)
+    design = np.einsum("nc,ij->nijc", columns, np.eye(count)).reshape(-1, 4 * count)
+    matrix, previous = np.zeros((count, 3)), np.full(4 * count, math.inf)
     for _ in range(ITERATIONS):
         factor = np.linalg.cholesky(_pose_covariance(matrix, up, sigma, gravity * u_up))
-        white = np.linalg.solve(factor, np.concatenate([design.reshape(-1, 3, 12), volts[:, :, None]], axis=2))
-        flat = white.reshape(-1, 13)
-        solution = gls(flat[:, :12], flat[:, 12], np.ones(len(flat)))
-        block = solution.parameters.reshape(3, 4)
+        shaped = design.reshape(-1, count, 4 * count)
+        white = np.linalg.solve(factor, np.concatenate([shaped, volts[:, :, None]], axis=2))
+        flat = white.reshape(-1, 4 * count + 1)
+        solution = gls(flat[:, :-1], flat[:, -1], np.ones(len(flat)))
+        block = solution.parameters.reshape(count, 4)
         matrix, moved = block[:, :3], np.abs(solution.parameters - previous) / solution.u
         previous = solution.parameters
         if u_up == 0 or np.max(moved) < 1e-7:
-            scaled = np.column_stack([matrix, np.zeros(3)]).ravel()
+            scaled = np.column_stack([matrix, np.zeros(count)]).ravel()
             covariance = solution.covariance + _common(scaled, u_gravity / gravity)
-            return Triad12(matrix, block[:, 3], covariance, solution.chi2, solution.dof)
+            return Directions(matrix, block[:, 3], covariance, solution.chi2, solution.dof)
     raise BadInput("tumble: found no triad that fits, wanted readings at rest in the stated poses")
 
 
@@ -246,13 +260,17 @@ def _weak(design: Floats) -> NDArray[np.bool_]:
 
 
 def _pose_covariance(matrix: Floats, up: Floats, sigma: Floats, turned: float) -> Floats:
-    """Covariance of the three readings of each pose, shape (n, 3, 3): noise, and each pose turned about any axis.
+    """Covariance of the readings of each pose, shape (n, c, c): noise, and each pose turned about any axis.
 
     A small turn δ moves up by δ × up, so the readings by matrix·(δ × up): covariance matrix·(1 - up upᵀ)·matrixᵀ.
     """
     across = np.eye(3) - up[:, :, None] * up[:, None, :]
-    noise = sigma[:, :, None] ** 2 * np.eye(3)
+    noise = sigma[:, :, None] ** 2 * np.eye(len(matrix))
     return np.asarray(noise + turned**2 * (matrix @ across @ matrix.T), float)
+
+
+def _sizes(parameters: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(parameters.reshape(-1, 4)[:, :3], axis=1))
 
 
 def _intrinsic(parameters: Floats) -> Floats:
@@ -268,14 +286,15 @@ def _common(scaled: Floats, relative: float) -> Floats:
     return np.asarray(relative**2 * np.outer(scaled, scaled), float)
 
 
-def _readings(volts: ArrayLike, u_volts: ArrayLike) -> tuple[Floats, Floats]:
+def _readings(volts: ArrayLike, u_volts: ArrayLike, channels: int | None = 3) -> tuple[Floats, Floats]:
     values, sigma = np.asarray(volts, float), np.asarray(u_volts, float)
-    if values.ndim != 2 or values.shape[1] != 3 or not np.all(np.isfinite(values)):
-        raise BadInput(f"tumble: found readings of shape {values.shape}, wanted (n, 3) finite numbers, one pose a row")
-    if sigma.shape not in ((), (3,), values.shape) or not np.all(sigma > 0) or not np.all(np.isfinite(sigma)):
-        raise BadInput(
-            f"tumble: found u_volts of shape {sigma.shape}, wanted a number, (3,) or {values.shape}, above 0"
-        )
+    if values.ndim != 2 or channels not in (None, values.shape[1]) or not np.all(np.isfinite(values)):
+        wanted = f"(n, {channels or 'channels'}) finite numbers, one pose a row"
+        raise BadInput(f"tumble: found readings of shape {values.shape}, wanted {wanted}")
+    shapes = ((), values.shape[1:], values.shape)
+    if sigma.shape not in shapes or not np.all(sigma > 0) or not np.all(np.isfinite(sigma)):
+        wanted = f"a number, {shapes[1]} or {shapes[2]}, above 0"
+        raise BadInput(f"tumble: found u_volts of shape {sigma.shape}, wanted {wanted}")
     return values, np.broadcast_to(sigma, values.shape)
 
 

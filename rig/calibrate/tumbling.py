@@ -4,107 +4,118 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, Reference, poses_of, reference, signals
+from rig.archive.records import Recorded, Reference, Signals, poses_of, reference, signals
 from rig.calibrate import triad
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
 from rig.errors import BadInput
+from rig.sensor import Sensor, Triad
 
 Array = NDArray[np.float64]
-UNITS = ("unit_a", "unit_b", "unit_c")
 ANGLES = ("xy", "xz", "yz")
 SENSITIVITY = "V/(m/s²)"
 
 
-class Axis(Protocol):
-    """What is needed of a sensor: its data-sheet sensitivity."""
+def results(records: Recorded, sensor: Sensor, noise: Mapping[str, Resting], tilt: float) -> Iterator[Result]:
+    """Results of every unit; nothing for a run without poses. `tilt` is the declared limit of a pose's angle, rad.
 
-    @property
-    def nominal(self) -> float: ...
-
-
-def results(
-    records: Recorded, sensors: Mapping[str, Axis], noise: Mapping[str, Resting], tilt: float
-) -> Iterator[Result]:
-    """Results of every triad; nothing for a run without poses. `tilt` is the declared limit of a pose's angle, rad."""
+    The angles between axes need a whole triad; fewer axes have sensitivity and zero output alone.
+    """
     found = poses_of(records)
     if not found:
         return
     gravity = reference(records, "gravity", "gravity")
-    up = np.array([direction for direction, _ in found])
-    bodies = [body for _, body in found]
-    for unit in UNITS:
-        channels = [f"{unit}_{axis}" for axis in "xyz"]
-        if all(c in sensors and c in noise for c in channels):
-            yield from _triad(records, unit, channels, up, bodies, gravity, noise, tilt)
+    poses = _Poses(
+        records, np.array([direction for direction, _ in found]), tuple(body for _, body in found),
+        tuple(signals(records.samples(body["samples"])) for _, body in found), gravity, noise, tilt,
+    )  # fmt: skip
+    for unit in sensor.of_quantity("acceleration"):
+        if all(name in noise and all(name in one.names for one in poses.signals) for name in unit.names):
+            yield from _of_unit(poses, unit)
 
 
-def _triad(
-    records: Recorded, unit: str, channels: Sequence[str], up: Array, bodies: Sequence[Mapping[str, Any]],
-    gravity: Reference, noise: Mapping[str, Resting], tilt: float,
-) -> Iterator[Result]:  # fmt: skip
-    records_of = [signals(records.samples(body["samples"])) for body in bodies]
-    if any(channels[0] not in one.names for one in records_of):
-        return
-    clipped = [c for c in channels if any(c in one.clipped for one in records_of)]
+@dataclass(frozen=True)
+class _Poses:
+    """A tumble: what was up in each pose (n, 3), the journal's bodies, and the records."""
+
+    records: Recorded
+    up: Array
+    bodies: tuple[Mapping[str, Any], ...]
+    signals: tuple[Signals, ...]
+    gravity: Reference
+    noise: Mapping[str, Resting]
+    tilt: float
+
+
+def _of_unit(poses: _Poses, unit: Triad) -> Iterator[Result]:
+    clipped = [name for name in unit.names if any(name in one.clipped for one in poses.signals)]
     if clipped:
-        for c in channels:
-            why = f"{records.name}: {', '.join(clipped)} clipped in a pose"
-            yield not_determined(c, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
+        yield from _without(unit, f"{poses.records.name}: {', '.join(clipped)} clipped in a pose")
         return
-    volts = np.array([[float(one.of(c).mean()) for c in channels] for one in records_of])
-    u = np.array(
-        [max(_u_mean(noise[c], bodies), _scatter(column, up)) for c, column in zip(channels, volts.T, strict=True)]
-    )
+    volts = np.array([[float(one.of(name).mean()) for name in unit.names] for one in poses.signals])
+    u = np.array([
+        max(_u_mean(poses.noise[name], poses.bodies), _scatter(column, poses.up))
+        for name, column in zip(unit.names, volts.T, strict=True)
+    ])  # fmt: skip
+    gravity = poses.gravity
     try:
-        fit = triad.fit_directions(volts, up, gravity.value, gravity.u, u, tilt / math.sqrt(3.0))
+        fit = triad.fit_directions(volts, poses.up, gravity.value, gravity.u, u, poses.tilt / math.sqrt(3.0))
     except BadInput as error:
-        for c in channels:
-            yield not_determined(c, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, str(error))
+        yield from _without(unit, str(error))
         return
-    nine = fit.intrinsic
-    common = (f"{len(bodies)} poses, twelve parameters", f"local gravity, {gravity.source}")
+    for place, name in enumerate(unit.names):
+        yield from _of_axis(poses, name, fit, place)
+    if unit.is_whole:
+        yield from _angles(unit, volts, u, gravity)
+
+
+def _without(unit: Triad, why: str) -> Iterator[Result]:
+    for name in unit.names:
+        yield not_determined(name, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
+
+
+def _of_axis(poses: _Poses, channel: str, fit: triad.Directions, place: int) -> Iterator[Result]:
+    gravity, dof = poses.gravity, float(max(fit.dof, 1))
+    common = (f"{len(poses.bodies)} poses, twelve parameters", f"local gravity, {gravity.source}")
     share = gravity.u / gravity.value
-    for place, channel in enumerate(channels):
-        s, u_s = float(nine.sensitivities[place]), float(nine.u[place])
-        lines = (
-            Contribution("noise, wandering and poses", "A", "normal",
-                         math.sqrt(max(u_s**2 - (s * share) ** 2, 0.0)), SENSITIVITY, 1.0, float(max(fit.dof, 1))),
-            Contribution("local gravity", "B", "normal", share, "1", s, source=gravity.source),
-        )  # fmt: skip
-        yield Result(channel, "sensitivity_gravity", "sensitivity from gravity", s, SENSITIVITY, Budget(lines), *common)
-        offset = (
-            Contribution("noise, wandering and poses", "A", "normal", float(nine.u[3 + place]), "V", 1.0,
-                         float(max(fit.dof, 1))),
-            Contribution("wandering common to all poses", "A", "normal", _u_common(noise[channel], bodies), "V", 1.0),
-        )  # fmt: skip
-        yield Result(channel, "offset", "zero output", float(nine.offsets[place]), "V", Budget(offset), *common)
-    yield from _angles(unit, channels, volts, u, gravity, common)
+    sizes, u_sizes = fit.sizes
+    s, u_s = float(sizes[place]), float(u_sizes[place])
+    lines = (
+        Contribution("noise, wandering and poses", "A", "normal",
+                     math.sqrt(max(u_s**2 - (s * share) ** 2, 0.0)), SENSITIVITY, 1.0, dof),
+        Contribution("local gravity", "B", "normal", share, "1", s, source=gravity.source),
+    )  # fmt: skip
+    yield Result(channel, "sensitivity_gravity", "sensitivity from gravity", s, SENSITIVITY, Budget(lines), *common)
+    wandering = _u_common(poses.noise[channel], poses.bodies)
+    offset = (
+        Contribution("noise, wandering and poses", "A", "normal", float(fit.u_offsets[place]), "V", 1.0, dof),
+        Contribution("wandering common to all poses", "A", "normal", wandering, "V", 1.0),
+    )
+    yield Result(channel, "offset", "zero output", float(fit.offsets[place]), "V", Budget(offset), *common)
 
 
-def _angles(
-    unit: str, channels: Sequence[str], volts: Array, u: Array, gravity: Reference, common: tuple[str, str]
-) -> Iterator[Result]:
+def _angles(unit: Triad, volts: Array, u: Array, gravity: Reference) -> Iterator[Result]:
     """Angles between the axes from the magnitude of gravity alone, which no pose's direction disturbs."""
     titles = {name: f"departure of the axes {name[0]} and {name[1]} from a right angle" for name in ANGLES}
     try:
         nine = triad.fit_magnitude(volts, gravity.value, gravity.u, u)
     except BadInput as error:
         for name in ANGLES:
-            yield not_determined(unit, f"angle_{name}", titles[name], "rad", f"{error} (`rig tumble --poses 24`)")
+            yield not_determined(unit.name, f"angle_{name}", titles[name], "rad", f"{error} (`rig tumble --poses 24`)")
         return
     for place, name in enumerate(ANGLES):
         line = Contribution("noise and wandering", "A", "normal", float(nine.u[6 + place]), "rad", 1.0,
                             float(max(nine.dof, 1)))  # fmt: skip
-        method = ("nine parameters from the magnitude of gravity", common[1])
+        method = ("nine parameters from the magnitude of gravity", f"local gravity, {gravity.source}")
         departure = float(nine.angles[place]) - math.pi / 2.0
-        yield Result(unit, f"angle_{name}", titles[name], departure, "rad", Budget((line,)), *method)
+        yield Result(unit.name, f"angle_{name}", titles[name], departure, "rad", Budget((line,)), *method)
 
 
 def _u_mean(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:

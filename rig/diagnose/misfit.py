@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.diagnose.misfit_cells import Cell, Mask, Table, cell, cells, family_of, span, tables, turned
+from rig.diagnose.misfit_cells import Cell, Mask, Table, cell, cells, span, tables, turned
 from rig.diagnose.misfit_laws import Law, in_words, laws, strongest
 from rig.diagnose.whiteness import FEWEST as FEWEST_VALUES
 from rig.diagnose.whiteness import Whiteness, fisher_g, ljung_box, runs
@@ -33,7 +33,6 @@ from rig.parts.turning import Turning
 CONDITIONS = 3
 SHARE = 0.3  # of the largest excess of χ²/n: a slice with less is not where the model fails
 OWN = 0.5  # of a condition's excess must lie in rows that no worse condition explains
-TITLES = {"unit_a": "unit A", "unit_b": "unit B", "unit_c": "unit C", "gyro": "gyros", "backup": "backup gyros"}
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
         noises = _noises(table)
         errors = _errors(table, found.left[offsets[table.number] : offsets[table.number + 1]])
         for row, name in enumerate(table.names):
-            title = table.part.title(name) if isinstance(table.part, Tabled) else family_of(name)
+            title = table.part.title(name) if isinstance(table.part, Tabled) else table.families[row]
             key = (table.part.place, title)
             used, out = table.used[row], table.used[row] & np.isfinite(held[row])
             chi2 = float(table.squares[row][used].sum())
@@ -136,7 +135,7 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
         square, number, chi2, count, held_chi2, held_count, error = np.sum(rows, axis=0).tolist()
         noise, ratio = _root(square, number), _root(chi2, count)
         yield Group(
-            f"{place}, {TITLES.get(family, family)}", tuple(names[place, family]), place,
+            f"{place}, {family}", tuple(names[place, family]), place,
             noise * ratio if math.isnan(error) else _root(error, number), noise, ratio, _root(held_chi2, held_count),
         )  # fmt: skip
 
@@ -298,14 +297,14 @@ def _joined(bad: Sequence[Cell], kind: str) -> str:
 def _who(channels: Sequence[str], table: Table) -> str:
     """`all axes of unit A and unit B`, `gyro yaw`, in words."""
     said, whole = [], []
-    for family in dict.fromkeys(family_of(n) for n in channels):
-        mine = [n for n in channels if family_of(n) == family]
-        every = [n for n in table.names if family_of(n) == family]
+    family_of, word_of = (dict(zip(table.names, labels, strict=True)) for labels in (table.families, table.words))
+    for family in dict.fromkeys(family_of[n] for n in channels):
+        mine = [n for n in channels if family_of[n] == family]
+        every = [n for n in table.names if family_of[n] == family]
         if len(every) > 1 and len(mine) == len(every):
-            whole.append(TITLES.get(family, family))
+            whole.append(family)
         else:
-            title = TITLES.get(family, family).removesuffix("s")
-            said.append(f"{title} {' and '.join(n.removeprefix(family).strip('_') for n in mine)}".strip())
+            said.append(f"{family.removesuffix('s')} {' and '.join(word_of[n] for n in mine)}".strip())
     return ", ".join(([f"all axes of {' and '.join(whole)}"] if whole else []) + said)
 
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from rig.fit.adequacy import ALLOWANCE, FEWEST, bands_of, domains
 from rig.fit.fit import Fit
+from rig.model import labelled
 from rig.motion import Array, Complexes
 from rig.parts.part import Cut, Tabled
 from rig.parts.sines import LINES, Sines, split
 from rig.parts.turning import Turning
 
 Mask = NDArray[np.bool_]
-FAMILIES = ("unit_a", "unit_b", "unit_c", "gyro", "backup")
 STEADY = 0.02  # of the rate
 HIGHEST_ORDER = 3
 NOMINAL: Mapping[str, float] = {"16⅔": 50.0 / 3.0, "33⅓": 100.0 / 3.0, "45": 45.0, "78": 78.0}
@@ -44,6 +44,18 @@ class Table:
     @property
     def names(self) -> tuple[str, ...]:
         return self.part.row_names if isinstance(self.part, Tabled) else self.part.channels.names
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """What each name's unit is called."""
+        part = self.part
+        return tuple(labelled(n)[0] for n in self.names) if isinstance(part, Tabled) else part.channels.titles
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Which axis of its unit each name is."""
+        part = self.part
+        return tuple(labelled(n)[1] for n in self.names) if isinstance(part, Tabled) else part.channels.words
 
     @property
     def rates(self) -> Mask:
@@ -89,11 +101,6 @@ def deviate(chi2: float, count: int) -> float:
     return (math.cbrt(chi2 / count) - mean) / math.sqrt(2.0 / (9.0 * count) + (ALLOWANCE / 3.0) ** 2)
 
 
-def family_of(channel: str) -> str:
-    """`unit_a` of `unit_a_x`, `gyro` of `gyro_yaw`."""
-    return channel.rsplit("_", 1)[0]
-
-
 def tables(found: Fit) -> list[Table]:
     """One for every part."""
     made = []
@@ -129,8 +136,8 @@ def cell(table: Table, component: str, rows: tuple[int, ...], cut: Cut | None = 
 def cells(table: Table) -> Iterator[Cell]:
     """Every component of every family and channel, whole and under each condition."""
     families: dict[str, list[int]] = {}
-    for row, name in enumerate(table.names):
-        families.setdefault(family_of(name), []).append(row)
+    for row, family in enumerate(table.families):
+        families.setdefault(family, []).append(row)
     sets = {tuple(rows) for rows in families.values()} | {(row,) for row in range(len(table.names))}
     for component in table.components:
         for rows in sorted(sets):

@@ -20,4 +20,5 @@ class Aliasing(Effect):
     confused_with = ("spur", "mains_hum", "motor_pickup")
     separate_by = "another sampling rate: a folded line moves, a real one stays"
     source = "error sources E05, S29"
+    lost = "a folded line cannot be told from a signal at its frequency"
     looks_in = "lines"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Values, arms
 from rig.motion import rigid
 
 TOWARDS = (np.eye(3) + np.roll(np.eye(3), 1, axis=1)) / np.sqrt(2.0)  # rows (e_i + e_next)/√2
@@ -27,3 +27,6 @@ class AxisOffset(Effect):
             return felt
         own = np.stack([rigid(motion, at["offset"] * TOWARDS[i])[i] for i in range(3)])
         return np.asarray(felt + own[channels.axis])
+
+    def inverse(self, at: Values) -> Inverse:
+        return arms(at["offset"] * TOWARDS)

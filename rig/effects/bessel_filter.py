@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Parameter, Values
+from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
 HALF_POWER = 1.755672  # rad/s, where a three-pole Bessel filter of 1 s delay is 3 dB down
 
@@ -25,6 +25,9 @@ class BesselFilter(Effect):
     def response(self, frequency: Array, at: Values) -> Complexes:
         s = HALF_POWER * 1j * at["period"] * frequency
         return np.asarray(15.0 / (s**3 + 6.0 * s**2 + 15.0 * s + 15.0))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Filtered(lambda frequency: self.response(frequency, at))
 
     def physical(self, at: Values) -> dict[str, float]:
         """NaN where the coordinate is no filter."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Channels, Coordinate, Drift, Effect, Inverse, Motion, Parameter, Values
 
 
 class BufferGain(Effect):
@@ -25,3 +25,6 @@ class BufferGain(Effect):
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values
     ) -> tuple[NDArray[np.inexact], Array]:
         return signal * (1.0 + at["error"]), zero * (1.0 + at["error"])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Drift("", gain=at["error"], zero=at["error"])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Parameter, Values
+from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
 
 class ButterworthFilter(Effect):
@@ -22,6 +22,9 @@ class ButterworthFilter(Effect):
     def response(self, frequency: Array, at: Values) -> Complexes:
         s = 1j * at["period"] * frequency
         return np.asarray(1.0 / ((s**2 + 0.76537 * s + 1.0) * (s**2 + 1.84776 * s + 1.0)))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Filtered(lambda frequency: self.response(frequency, at))
 
     def physical(self, at: Values) -> dict[str, float]:
         """NaN where the coordinate is no filter."""

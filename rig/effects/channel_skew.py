@@ -7,7 +7,7 @@ the reference's (slots count from there).
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Array, Coordinate, Effect, Parameter, Values
+from rig.model import Array, Coordinate, Effect, Inverse, Late, Parameter, Values
 
 
 class ChannelSkew(Effect):
@@ -25,3 +25,6 @@ class ChannelSkew(Effect):
 
     def late(self, slots: NDArray[np.intp], at: Values) -> Array:
         return np.asarray(slots * at["extra"])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Late(at["extra"])

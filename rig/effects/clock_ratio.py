@@ -17,4 +17,5 @@ class ClockRatio(Effect):
     confused_with = ("first_order_lag",)
     separate_by = "two lengths of record: a filter does not know how long it is watched"
     source = "error sources K01"
+    elsewhere = "it belongs to the clocks of the bench"
     looks_in = "clock"

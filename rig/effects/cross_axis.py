@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
 
 
 class CrossAxis(Effect):
@@ -20,3 +20,6 @@ class CrossAxis(Effect):
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         whole = motion.rate if channels.rates.any() else motion.force
         return np.asarray(felt + at["share"] * whole[(channels.axis + 1) % 3])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Shares(own=at["share"] * NEXT)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
 
 
 class Crosstalk(Effect):
@@ -22,3 +22,6 @@ class Crosstalk(Effect):
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         whole = motion.rate if channels.rates.any() else motion.force
         return np.asarray(felt + at["time_constant"] * motion.grid.rise(whole)[(channels.axis + 1) % 3])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Shares(own_rise=at["time_constant"] * NEXT)

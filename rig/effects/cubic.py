@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
 
 
 class Cubic(Effect):
@@ -19,3 +19,6 @@ class Cubic(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u**3)
+
+    def inverse(self, at: Values) -> Inverse:
+        return Bend(cubic=at["coefficient"])

@@ -17,6 +17,7 @@ class DeadZone(Effect):
     separate_by = "levels towards zero: amplitude a straight line with a negative intercept, without hysteresis' lag"
     kinked = True
     source = "error sources S10"
+    lost = "inputs smaller than the width leave no trace"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         """A width below zero continues it straight, u − sign(u)·width, so that it has a slope at zero."""

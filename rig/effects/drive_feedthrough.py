@@ -18,6 +18,7 @@ class DriveFeedthrough(Effect):
     confused_with = ("cross_axis", "high_pass", "mains_hum")
     separate_by = "the sensor turned over: the feed-through keeps its sign; a dummy in its place still shows it"
     source = "error sources E10"
+    elsewhere = "it belongs to the wiring of the shaker"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
         if motion.place != "shaker":

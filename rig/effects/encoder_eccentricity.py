@@ -21,6 +21,7 @@ class EncoderEccentricity(Effect):
     confused_with = ("motor_pickup", "platen_tilt", "g_sensitivity")
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, independent of ω for a tilt or a field"
     source = "error sources T01; HEDS-9040 data sheet"
+    elsewhere = "it belongs to the encoder of the turntable"
 
     def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:
         sine, cosine = np.sin(angle), np.cos(angle)

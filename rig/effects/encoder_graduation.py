@@ -17,4 +17,5 @@ class EncoderGraduation(Effect):
     confused_with = ("encoder_second_harmonic", "encoder_eccentricity", "missed_counts")
     separate_by = "twenty turns and more, averaged line by line: graduation repeats, the sampling of edges does not"
     source = "error sources T03; HEDS-9040 data sheet"
+    elsewhere = "it belongs to the encoder of the turntable"
     looks_in = "graduation"

@@ -22,6 +22,7 @@ class EncoderSecondHarmonic(Effect):
     separate_by = "a second speed and the coast-down: ∝ ω for the disk, and still there without the motor"
     rarity = 1.0
     source = "error sources T02"
+    elsewhere = "it belongs to the encoder of the turntable"
 
     def turned(self, angle: Array, at: Values) -> tuple[Array, Array, Array]:
         sine, cosine = np.sin(2.0 * angle), np.cos(2.0 * angle)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Parameter, Values
+from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
 
 class FirstOrderLag(Effect):
@@ -21,3 +21,6 @@ class FirstOrderLag(Effect):
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(1.0 / (1.0 + 2j * math.pi * at["time_constant"] * frequency))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Filtered(lambda frequency: self.response(frequency, at))

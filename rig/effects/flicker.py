@@ -17,4 +17,5 @@ class Flicker(Effect):
     confused_with = ("random_walk", "white", "temperature_bias")
     separate_by = "a record at rest of hours with its temperature: flicker is left when the thermometer is taken off"
     source = "error sources N02; IEEE 952"
+    lost = "it is chance"
     looks_in = "noise"

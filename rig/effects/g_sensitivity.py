@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
 
 
 class GSensitivity(Effect):
@@ -20,3 +20,6 @@ class GSensitivity(Effect):
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
         return np.asarray(felt + at["coefficient"] * motion.force[(channels.axis + 1) % 3])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Shares(force=at["coefficient"] * NEXT)

@@ -19,6 +19,7 @@ class GravityTilt(Effect):
     separate_by = "lower frequencies with magnitude and phase (a high-pass leads, a tilt does not), or an upright drive"
     rarity = 1.0
     source = "error sources M10; ISO 16063-11"
+    elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods):

@@ -23,6 +23,7 @@ class HighPass(Effect):
     separate_by = "a sweep to lower frequencies with phase: a high-pass leads, a tilt in gravity stays in phase"
     rarity = 1.0
     source = "error sources S15"
+    lost = "slow signals have leaked away, and its inverse would let every error of the zero grow without end"
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         f = np.where(frequency > 0.0, frequency, math.inf)

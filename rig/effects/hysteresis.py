@@ -18,6 +18,7 @@ class Hysteresis(Effect):
     separate_by = "smaller levels at one frequency: this lag is ∝ 1/A, that of a delay or filter does not change"
     kinked = True
     source = "error sources S11; Visintin, Differential Models of Hysteresis (play operator)"
+    lost = "the output depends on turning points that a record need not hold"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         """A width below zero mirrors it, 2u − play(u, −width), so that it has a slope at zero."""

@@ -17,6 +17,7 @@ class LdvCosine(Effect):
     confused_with = ("buffer_gain", "ldv_gain_step")
     separate_by = "the beam turned on purpose in two directions: the cosine's maximum is the true alignment"
     source = "error sources L01; ISO 16063-41"
+    elsewhere = "it belongs to the vibrometer"
     absorbed = "the cosine of the beam's angle is part of the sensitivity"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:

@@ -19,6 +19,7 @@ class LdvDelay(Effect):
     confused_with = ("delay", "channel_skew", "ldv_low_pass")
     separate_by = "a second vibrometer or decoder on the same spot: their difference is free of the sensor"
     source = "error sources L04, U8"
+    elsewhere = "it belongs to the vibrometer"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         return np.asarray(along * np.exp(2j * math.pi * frequency * at["time"]))

@@ -21,4 +21,5 @@ class LdvDropout(Effect):
     confused_with = ("ldv_gain_step", "white")
     separate_by = "retro-reflecting tape and a longer gate on the signal level: dropouts vanish, a gain error stays"
     source = "error sources L05"
+    elsewhere = "it belongs to the vibrometer"
     looks_in = "dropouts"

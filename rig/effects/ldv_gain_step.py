@@ -23,6 +23,7 @@ class LdvGainStep(Effect):
     separate_by = "the same frequency and level measured in both ranges: only the step differs"
     rarity = 1.0
     source = "error sources L02"
+    elsewhere = "it belongs to the vibrometer"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         gain = np.where(scale <= at["range"], 1.0 + at["step"], 1.0)

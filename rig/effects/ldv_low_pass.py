@@ -22,6 +22,7 @@ class LdvLowPass(Effect):
     separate_by = "another filter setting of the decoder: a rise that comes from it changes"
     rarity = 1.0
     source = "error sources L03"
+    elsewhere = "it belongs to the vibrometer"
 
     def shaken(self, along: Complexes, frequency: Array, scale: Array, at: Values) -> Complexes:
         s = HALF_POWER * 1j * at["period"] * frequency  # written again as in bessel_filter: effects stand alone

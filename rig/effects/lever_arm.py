@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Values, arms
 from rig.motion import rigid
 
 
@@ -29,6 +29,9 @@ class LeverArm(Effect):
         if motion.place not in self.places:
             return felt
         return np.asarray(felt + rigid(motion, np.array([at["x"], at["y"], at["z"]]))[channels.axis])
+
+    def inverse(self, at: Values) -> Inverse:
+        return arms(np.tile([at["x"], at["y"], at["z"]], (3, 1)))
 
     def physical(self, at: Values) -> dict[str, float]:
         """x = length·sin(direction), z = length·cos(direction)."""

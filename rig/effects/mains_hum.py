@@ -35,6 +35,7 @@ class MainsHum(Effect):
     confused_with = ("drive_feedthrough", "aliasing", "spur")
     separate_by = "a record at rest: hum stays, and its frequency wanders with the mains"
     source = "error sources E09"
+    lost = "its phase is that of the mains, which no channel shows"
 
     def at_mains(self, order: int, elapsed: Array, at: Values) -> Complexes | None:
         phasors = {1: at["cosine"] - 1j * at["sine"], 3: at["cosine_third"] - 1j * at["sine_third"]}

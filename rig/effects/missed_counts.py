@@ -17,4 +17,5 @@ class MissedCounts(Effect):
     confused_with = ("encoder_graduation", "buffer_gain")
     separate_by = "the lines from index to index at several speeds: the disk's number is exact, loss goes with speed"
     source = "error sources T05, T08, U32"
+    elsewhere = "it belongs to the counting of the encoder"
     looks_in = "closure"

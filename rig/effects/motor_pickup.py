@@ -29,6 +29,7 @@ class MotorPickup(Effect):
     confused_with = ("encoder_eccentricity", "encoder_second_harmonic", "g_sensitivity", "platen_tilt")
     separate_by = "the coast-down: pickup ends where the motor is switched off, disk and tilt go on"
     source = "error sources S28, T18"
+    elsewhere = "it belongs to the motor of the turntable"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
         if motion.place != "turntable":

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Parameter, Values
+from rig.model import BOTH, Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
 
 class MovingAverage(Effect):
@@ -24,3 +24,6 @@ class MovingAverage(Effect):
     def response(self, frequency: Array, at: Values) -> Complexes:
         turns = frequency * at["window"]
         return np.asarray(np.sinc(turns) * np.exp(-1j * math.pi * turns))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Filtered(lambda frequency: self.response(frequency, at))

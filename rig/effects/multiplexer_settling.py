@@ -20,6 +20,7 @@ class MultiplexerSettling(Effect):
     separate_by = "the scan in another order, or a grounded slot in between: the copy goes with the slot, not the axis"
     rarity = 1.0
     source = "error sources E07"
+    lost = "it belongs to one scan: a channel needs the volts of the slot before"
 
     def mixed(self, volts: NDArray[np.inexact], before: NDArray[np.inexact], at: Values) -> NDArray[np.inexact]:
         return volts + at["share"] * (before - volts)

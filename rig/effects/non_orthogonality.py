@@ -8,7 +8,7 @@ f = [[1, −yz, zy], [0, 1, −zx], [0, 0, 1]]·u.
 
 import numpy as np
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
 
 
 class NonOrthogonality(Effect):
@@ -33,3 +33,7 @@ class NonOrthogonality(Effect):
         y_more = at["zx"] * z
         more = np.stack([at["yz"] * (y + y_more) - at["zy"] * z, y_more, np.zeros_like(z)])
         return np.asarray(felt + more[channels.axis])
+
+    def inverse(self, at: Values) -> Inverse:
+        own = np.array([[0.0, at["yz"], at["yz"] * at["zx"] - at["zy"]], [0.0, 0.0, at["zx"]], [0.0, 0.0, 0.0]])
+        return Shares(own=own)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
 
 
 class OddQuadratic(Effect):
@@ -20,3 +20,6 @@ class OddQuadratic(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u * np.abs(u))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Bend(odd_quadratic=at["coefficient"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
 
 
 class Offset(Effect):
@@ -20,3 +20,6 @@ class Offset(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["shift"])
+
+    def inverse(self, at: Values) -> Inverse:
+        return Bend(shift=at["shift"])

@@ -21,6 +21,7 @@ class PlatenTilt(Effect):
     confused_with = ("encoder_eccentricity", "motor_pickup", "g_sensitivity", "lever_arm")
     separate_by = "a spirit level and the coast-down: a tilt stays the same at every ω and without the motor"
     source = "error sources T09"
+    elsewhere = "it belongs to the turntable"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         """Where the angle is unknown (NaN), nothing is added."""

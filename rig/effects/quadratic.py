@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
 
 
 class Quadratic(Effect):
@@ -19,3 +19,6 @@ class Quadratic(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(u + at["coefficient"] * u**2)
+
+    def inverse(self, at: Values) -> Inverse:
+        return Bend(quadratic=at["coefficient"])

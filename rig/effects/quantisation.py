@@ -18,4 +18,5 @@ class Quantisation(Effect):
     confused_with = ("white",)
     separate_by = "the values that occur, counted: noise leaves no gaps between them"
     source = "error sources E03"
+    lost = "what lies between two steps leaves no trace"
     looks_in = "codes"

@@ -17,4 +17,5 @@ class RandomWalk(Effect):
     confused_with = ("flicker", "temperature_bias", "warm_up")
     separate_by = "a record at rest of hours with its temperature, repeated: a walk never takes the same path"
     source = "error sources N03; IEEE 952"
+    lost = "it is chance"
     looks_in = "noise"

@@ -18,6 +18,7 @@ class ReferenceDelay(Effect):
     confused_with = ("delay",)
     separate_by = "one clock for both, or an event that both see; delays that differ by channel are the sensor's"
     source = "error sources T05; time offsets between camera and inertial unit (Furgale 2013, Kalibr)"
+    elsewhere = "it belongs to the reference"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if not at["time"]:

@@ -18,6 +18,7 @@ class ReferenceTilt(Effect):
     confused_with = ("cross_axis", "non_orthogonality")
     separate_by = "the case's own edges as reference, or gravity in known poses; shares that differ are the sensor's"
     source = "error sources T08; IEEE 1293 (misalignment of mounting)"
+    elsewhere = "it belongs to the reference"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         vector = np.array([at["x"], at["y"], at["z"]])

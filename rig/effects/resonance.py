@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import Array, Complexes, Coordinate, Effect, Parameter, Values
+from rig.model import Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
 
 class Resonance(Effect):
@@ -26,6 +26,9 @@ class Resonance(Effect):
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(1.0 / (1.0 - at["square"] * frequency**2 + 1j * at["loss"] * frequency))
+
+    def inverse(self, at: Values) -> Inverse:
+        return Filtered(lambda frequency: self.response(frequency, at))
 
     def physical(self, at: Values) -> dict[str, float]:
         """NaN where the coordinates are no oscillator."""

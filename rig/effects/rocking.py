@@ -30,6 +30,7 @@ class Rocking(Effect):
     confused_with = ("resonance", "transverse_motion", "gravity_tilt")
     separate_by = "the vibrometer's spot moved to the other side: the error of rocking turns its sign"
     source = "error sources M01; ISO 16063-21"
+    elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods):

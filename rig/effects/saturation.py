@@ -22,6 +22,7 @@ class Saturation(Effect):
     separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at the limit"
     kinked = True
     source = "error sources S09"
+    lost = "beyond the limit the output is the same for every input"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray(np.clip(u, -at["limit"], at["limit"]))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
 
 
 class Sensitivity(Effect):
@@ -20,3 +20,6 @@ class Sensitivity(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         return np.asarray((1.0 + at["relative"]) * u)
+
+    def inverse(self, at: Values) -> Inverse:
+        return Bend(relative=at["relative"])

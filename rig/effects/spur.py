@@ -20,4 +20,5 @@ class Spur(Effect):
     confused_with = ("aliasing", "mains_hum", "motor_pickup")
     separate_by = "another sampling rate: a real line stays where it is, a folded one moves"
     source = "error sources N07, S29"
+    lost = "its phase is not known from record to record"
     looks_in = "lines"

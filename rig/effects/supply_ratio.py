@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Channels, Coordinate, Drift, Effect, Inverse, Motion, Parameter, Values
 
 NOMINAL = 5.0  # V, the supply for which sensitivity and zero output are stated
 
@@ -28,3 +28,7 @@ class SupplyRatio(Effect):
     ) -> tuple[NDArray[np.inexact], Array]:
         ratio = 1.0 + at["share"] * (motion.supply / NOMINAL - 1.0)
         return signal * motion.grid.each(ratio), zero * ratio
+
+    def inverse(self, at: Values) -> Inverse:
+        per_volt = at["share"] / NOMINAL
+        return Drift("supply", NOMINAL, gain=per_volt, zero=per_volt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Channels, Coordinate, Drift, Effect, Inverse, Motion, Parameter, Values
 
 ROOM = 25.0  # °C, where the zero output is the nominal one
 
@@ -27,3 +27,6 @@ class TemperatureBias(Effect):
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values
     ) -> tuple[NDArray[np.inexact], Array]:
         return signal, zero + channels.sensitivity[:, None] * at["coefficient"] * (motion.temperature - ROOM)
+
+    def inverse(self, at: Values) -> Inverse:
+        return Drift("temperature", ROOM, shift=at["coefficient"])

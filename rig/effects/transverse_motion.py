@@ -27,6 +27,7 @@ class TransverseMotion(Effect):
     separate_by = "the cube turned by 180° about the drive: true motion turns its sign, a cross-axis share does not"
     rarity = 1.0
     source = "error sources M02; ISO 16063-21"
+    elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         if motion.place != "shaker" or not isinstance(motion.grid, Periods) or at["ratio"] == 0.0:

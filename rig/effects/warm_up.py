@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
+from rig.model import BOTH, Array, Channels, Coordinate, Drift, Effect, Inverse, Motion, Parameter, Values
 
 
 class WarmUp(Effect):
@@ -31,3 +31,6 @@ class WarmUp(Effect):
             return signal, zero
         left = at["shift"] * np.exp(-motion.elapsed / at["time_constant"])
         return signal, zero + channels.sensitivity[:, None] * left
+
+    def inverse(self, at: Values) -> Inverse:
+        return Drift("time", decay=at["time_constant"], shift=at["shift"])

@@ -17,4 +17,5 @@ class White(Effect):
     confused_with = ("quantisation", "flicker", "ldv_dropout")
     separate_by = "a record at rest, and one with the input shorted: what stays is the converter's"
     source = "error sources N01; IEEE 952"
+    lost = "it is chance"
     looks_in = "noise"

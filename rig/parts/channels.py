@@ -7,30 +7,30 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig import units
 from rig.archive.records import Recorded
 from rig.model import Channels
-from rig.sensor import sensors_of
+from rig.sensor import Sensor
 
 UNSTATED = 0.2  # relative tolerance of a sensitivity whose data sheet states none
-AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def channels_of(records: Recorded, cables: Sequence[str], relative_to: str = "") -> Channels:
     """The sensors among the cables; slots count from that of the reference `relative_to` if it is named."""
-    sensors = sensors_of(records.header)
-    stated = records.header["sensor"]["channels"]
-    names = tuple(name for name in cables if name in sensors)
+    sensor = Sensor.of(records.header)
+    found = [sensor.channel(name) for name in cables if name in sensor]
+    units = [sensor.triad(one.triad) for one in found]
     origin = cables.index(relative_to) if relative_to else 0
-    side = [stated[n].get("beside_spot") for n in names]
     return Channels(
-        names=names,
-        rates=np.array([sensors[n].quantity == "rate" for n in names]),
-        axis=np.array([AXES[sensors[n].axis] for n in names]),
-        slot=np.array([cables.index(n) - origin for n in names]),
-        side=np.array([math.nan if s is None else units.parse(str(s), "length") for s in side]),
-        sensitivity=np.array([sensors[n].nominal for n in names]),
-        tolerance=np.array([UNSTATED if sensors[n].tolerance is None else sensors[n].tolerance for n in names]),
-        pole=np.array([sensors[n].bandwidth for n in names]),
-        unit=tuple(n.rpartition("_")[0] for n in names),
+        names=tuple(one.name for one in found),
+        rates=np.array([one.is_rate for one in found]),
+        axis=np.array([one.place for one in found], np.intp),
+        slot=np.array([cables.index(one.name) - origin for one in found], np.intp),
+        side=np.array([math.nan if one.beside_spot is None else one.beside_spot for one in found]),
+        sensitivity=np.array([one.nominal for one in found]),
+        tolerance=np.array([UNSTATED if one.tolerance is None else one.tolerance for one in found]),
+        pole=np.array([one.bandwidth for one in found]),
+        unit=tuple(unit.name for unit in units),
+        titles=tuple(unit.title for unit in units),
+        words=tuple(one.word for one in found),
+        colours=tuple(unit.colour for unit in units),
     )

@@ -16,7 +16,7 @@
       channels: [gyro_yaw]          # left out where all of the kind feel it
       values: {k: 0.001}            # where a fit begins, SI
     covariance: {order: [cubic (acceleration).coefficient], values: [[9.0e-14]]}
-    channels: …                     # sensitivity, pole and zero outputs as fitted
+    channels: …                     # axis, sensitivity, pole and zero outputs as fitted
     history: …                      # every step with its error on fitted and on held-out data, noise = 1
 
 Everything is SI. Coordinates are what is fitted; parameters are the same in the terms that a person reads, so in a file
@@ -102,11 +102,19 @@ class Covariance(Strict):
 
 
 class ChannelEntry(Strict):
-    """One channel as fitted: `pole` of the output filter (none in the paper's model), `zero` output V by record set."""
+    """One channel as fitted: `pole` of the output filter (none in the paper's model), `zero` output V by record set.
+
+    `u_zero` V, left out for a record set that does not determine it; `axis` of the case; `triad` names the channels
+    that stand together; `slot` of the scan, counted from the reference's.
+    """
 
     sensitivity: Value
     pole: Value | None = None
     zero: dict[str, float] = Field(default_factory=dict)
+    u_zero: dict[str, float] = Field(default_factory=dict)
+    axis: Literal["x", "y", "z"] | None = None
+    triad: str = ""
+    slot: int | None = None
 
 
 class Step(Strict):
@@ -426,17 +434,31 @@ def _covariance(fit: Fit, numbers: Sequence[int], known: Mapping[str, Mapping[st
 
 
 def _channels(fit: Fit) -> dict[str, ChannelEntry]:
-    u = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     found: dict[str, ChannelEntry] = {}
     for number, part in enumerate(fit.parts):
-        local, own = fit.state.local(part, number), fit.layout.own(part, number)
         for c, name in enumerate(part.channels.names):
-            zero = {**(found[name].zero if name in found else {}), part.name: _short(float(local.zero[c]), DIGITS)}
-            nominal, pole = float(part.channels.sensitivity[c]), float(local.pole[c])
-            unit = "V/(rad/s)" if part.channels.rates[c] else "V/(m/s²)"
-            u_gain, u_pole = abs(nominal) * float(u[own[c, 0]]), pole * float(u[own[c, 1]])
-            sensitivity = Value(value=_short(float(local.sensitivity[c]), DIGITS), unit=unit, u=_short(u_gain))
-            filtered = Value(value=_short(pole, DIGITS), unit="Hz", u=_short(u_pole))
-            has_filter = fit.state.poles and math.isfinite(pole)
-            found[name] = ChannelEntry(sensitivity=sensitivity, pole=filtered if has_filter else None, zero=zero)
+            found[name] = _channel(fit, number, c, found.get(name))
     return found
+
+
+def _channel(fit: Fit, number: int, c: int, before: ChannelEntry | None) -> ChannelEntry:
+    """A channel after one more of the parts that it is in; zeros are every part's own."""
+    part = fit.parts[number]
+    channels, local = part.channels, fit.state.local(part, number)
+    u_gain, u_log_pole, u_zero = np.sqrt(np.maximum(np.diag(fit.covariance)[fit.layout.own(part, number)[c]], 0.0))
+    pole, unit = float(local.pole[c]), "V/(rad/s)" if channels.rates[c] else "V/(m/s²)"
+    sensitivity = Value(
+        value=_short(float(local.sensitivity[c]), DIGITS), unit=unit,
+        u=_short(abs(float(channels.sensitivity[c])) * float(u_gain)),
+    )  # fmt: skip
+    filtered = Value(value=_short(pole, DIGITS), unit="Hz", u=_short(pole * float(u_log_pole)))
+    determined = {part.name: _short(float(u_zero))} if u_zero > 0.0 else {}
+    return ChannelEntry(
+        sensitivity=sensitivity,
+        pole=filtered if fit.state.poles and math.isfinite(pole) else None,
+        zero={**(before.zero if before else {}), part.name: _short(float(local.zero[c]), DIGITS)},
+        u_zero={**(before.u_zero if before else {}), **determined},
+        axis="xyz"[channels.axis[c]],
+        triad=channels.unit[c],
+        slot=before.slot if before else int(channels.slot[c]),
+    )

@@ -24,12 +24,11 @@ from rig.calibrate.paper_method import (
     NOMINAL_ZERO,
     axis_sign,
     held,
-    nominal_sensitivity,
     volts_about_zero,
 )
 from rig.printed import DEGREE
 from rig.record import Samples
-from rig.report.run_figures import COLOURS
+from rig.sensor import Sensor, SensorChannel
 from rig.signals.rotation import Edges, Track, edges_of, encoder_settings, graduation_map
 
 if TYPE_CHECKING:
@@ -150,23 +149,23 @@ def figure_4(runs: Sequence[Recorded]) -> Drawing | None:
 
 
 def figure_5(runs: Sequence[Recorded]) -> Drawing | None:
-    """Volts of unit A's three axes in the same record, not calibrated."""
+    """Volts of the axes of the first unit of accelerometers in the same record, not calibrated."""
     sine = _nearest_sine(runs)
-    names = [f"unit_a_{axis}" for axis in "xyz"]
-    if sine is None or any(name not in sine.signals.names for name in names):
+    unit = Sensor.of(sine.run.header).primary if sine is not None else None
+    if sine is None or unit is None or any(name not in sine.signals.names for name in unit.names):
         return None
-    figure, axes = _new(3, 4.8)
-    for ax, name in zip(axes, names, strict=True):
-        times, volts = sine.cycles(name)
-        role = " (driven)" if name[-1] == sine.body["axis"] else ""
-        ax.plot(times, volts, "o-", linewidth=1.2, markersize=2.2, color=AXES[name[-1]])
-        ax.set_ylabel(f"{name[-1]}{role} / V")
+    figure, axes = _new(len(unit.channels), 4.8)
+    for ax, channel in zip(axes, unit.channels, strict=True):
+        times, volts = sine.cycles(channel.name)
+        role = " (driven)" if channel.axis == sine.body["axis"] else ""
+        ax.plot(times, volts, "o-", linewidth=1.2, markersize=2.2, color=AXES[channel.axis])
+        ax.set_ylabel(f"{channel.axis}{role} / V")
         ax.margins(x=0.01, y=0.15)
     axes[-1].set_xlabel("time / ms")
     figure.align_ylabels(axes)
     return Drawing(
         figure,
-        f"Uncalibrated output of the three accelerometers of unit A while {sine.body['axis']} was driven at "
+        f"Uncalibrated output of the accelerometers of {unit.title} while {sine.body['axis']} was driven at "
         f"{float(sine.body['frequency']):.2f} Hz: the side axes, each on its own scale, show "
         f"cross-coupling where there is any, their offset and the steps of the converter ({sine.where}).",
     )
@@ -181,14 +180,13 @@ class _Turning:
 
     run: Recorded
     body: Mapping[str, Any]
-    name: str
+    gyro: SensorChannel
     samples: Samples
     edges: Edges
 
     @property
-    def sensor(self) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = self.run.header["sensor"]["channels"][self.name]
-        return found
+    def name(self) -> str:
+        return self.gyro.name
 
     @property
     def where(self) -> str:
@@ -198,10 +196,10 @@ class _Turning:
         """Instants (s), volts about zero (V) and the held rate (rad/s) where there is one."""
         instants = self.samples.instants(self.name)
         inside, rate = held(self.edges, count, axis_sign(self.body)).at(instants)
-        return instants[inside], volts_about_zero(self.samples, self.name, self.sensor)[inside], rate
+        return instants[inside], volts_about_zero(self.samples, self.gyro)[inside], rate
 
 
-def _turning(run: Recorded, body: Mapping[str, Any], name: str) -> _Turning:
+def _turning(run: Recorded, body: Mapping[str, Any], gyro: SensorChannel) -> _Turning:
     pieces = []
     for samples in run.pieces(body["samples"]):
         pieces.append(samples)
@@ -210,20 +208,26 @@ def _turning(run: Recorded, body: Mapping[str, Any], name: str) -> _Turning:
     counts = pieces[0].counts if len(pieces) == 1 else np.concatenate([p.counts for p in pieces])
     first = pieces[0]
     joined = Samples(counts, first.channels, first.timing, first.start, first.first_scan, first.flags)
-    return _Turning(run, body, name, joined, edges_of([joined], encoder_settings(run.lines)))
+    return _Turning(run, body, gyro, joined, edges_of([joined], encoder_settings(run.lines)))
 
 
-def _bodies(runs: Sequence[Recorded], *phases: str) -> Iterator[tuple[Recorded, Mapping[str, Any], str]]:
+def _bodies(runs: Sequence[Recorded], *phases: str) -> Iterator[tuple[Recorded, Mapping[str, Any], SensorChannel]]:
     """Records of the first gyro that any run turned; the roll gyro as in the paper if there is a choice."""
     found = [
-        (run, body, f"gyro_{body['gyro_axis']}")
+        (run, body, gyro)
         for run in runs
         for body in run.points.values()
-        if body.get("phase") in phases and f"gyro_{body['gyro_axis']}" in run.header["sensor"]["channels"]
+        if body.get("phase") in phases
+        for gyro in _wired(run, body["gyro_axis"])[:1]
     ]
-    names = [name for _, _, name in found]
-    chosen = "gyro_roll" if "gyro_roll" in names else next(iter(names), "")
-    return ((run, body, name) for run, body, name in found if name == chosen)
+    gyros = [gyro for _, _, gyro in found]
+    chosen = next((gyro for gyro in gyros if gyro.word == "roll"), next(iter(gyros), None))
+    return ((run, body, gyro) for run, body, gyro in found if gyro == chosen)
+
+
+def _wired(run: Recorded, axis: str) -> list[SensorChannel]:
+    cables = run.header["bench_file"]["cables"]["turntable"]
+    return [gyro for gyro in Sensor.of(run.header).about(axis) if gyro.name in cables]
 
 
 def _thin(*columns: Array, most: int = DOTS) -> list[Array]:
@@ -239,8 +243,8 @@ def _block_means(times: Array, values: Array, count: int) -> tuple[Array, Array]
 
 def figure_7(calibration: Calibration, runs: Sequence[Recorded]) -> Drawing | None:
     """Sensitivity by eq. 13 sample by sample, its mean, and ours with its uncertainty."""
-    for run, body, name in _bodies(runs, "hold"):
-        turning = _turning(run, body, name)
+    for run, body, gyro in _bodies(runs, "hold"):
+        turning, name = _turning(run, body, gyro), gyro.name
         figure, (ax,) = _new(height=4.0)
         _ratios(ax, turning)
         _band(ax, calibration.find(f"{name}.sensitivity"))
@@ -319,7 +323,7 @@ def _line(volts: Array, rate: Array, drawn: Sequence[Sequence[Array]]) -> Figure
     return figure
 
 
-def _whole(found: tuple[Recorded, Mapping[str, Any], str]) -> _Turning | None:
+def _whole(found: tuple[Recorded, Mapping[str, Any], SensorChannel]) -> _Turning | None:
     """A record with its edges; None if the platter hardly moved in it."""
     from rig.errors import BadInput
 
@@ -331,8 +335,9 @@ def _whole(found: tuple[Recorded, Mapping[str, Any], str]) -> _Turning | None:
 
 def figure_9(calibration: Calibration, runs: Sequence[Recorded]) -> Drawing | None:
     """The rate that the calibrated gyro measures over the reference, and what the default sensitivity would say."""
-    for run, body, name in _bodies(runs, "coast_down", "spin_up"):
-        turning, ours = _whole((run, body, name)), calibration.find(f"{name}.sensitivity")
+    for run, body, gyro in _bodies(runs, "coast_down", "spin_up"):
+        name = gyro.name
+        turning, ours = _whole((run, body, gyro)), calibration.find(f"{name}.sensitivity")
         if turning is None or ours is None or ours.value is None:
             continue
         offset = calibration.find(f"{name}.offset")
@@ -347,7 +352,7 @@ def figure_9(calibration: Calibration, runs: Sequence[Recorded]) -> Drawing | No
 
 
 def _overlay(turning: _Turning, count: int, seconds: Array, volts: Array, rate: Array, ours: float) -> Drawing:
-    nominal = math.copysign(nominal_sensitivity(turning.sensor), ours)
+    nominal = math.copysign(turning.gyro.nominal, ours)
     figure, (ax, left) = _new(2, 4.8)
     ax.plot(seconds, volts / nominal / DEGREE, color=PAPERS, linewidth=1.1, label="default sensitivity")
     ax.plot(seconds, volts / ours / DEGREE, color=OURS, linewidth=1.3, label="calibrated")
@@ -375,13 +380,15 @@ def response(calibration: Calibration) -> Drawing | None:
     if not calibration.responses:
         return None
     figure, (magnitude, phase) = _new(2, 5.2)
+    unit = calibration.under_test
     for channel, points in calibration.responses.items():
         full = sorted((p for p in points if p.level == points[0].level), key=lambda p: p.frequency)
         ours = calibration.find(f"{channel}.sensitivity")
         size = abs(ours.value) if ours is not None and ours.value else full[0].magnitude
         f = np.array([p.frequency for p in full])
-        style = {"color": COLOURS.get(channel[:6], INK), "marker": _MARKERS.get(channel[-1], "o"), "markersize": 3,
-                 "linewidth": 0.8, "elinewidth": 0.9, "capsize": 1.5}  # fmt: skip
+        marker = _MARKERS[unit.channel(channel).axis]
+        style = {"color": unit.triad_of(channel).colour, "marker": marker, "markersize": 3, "linewidth": 0.8,
+                 "elinewidth": 0.9, "capsize": 1.5}  # fmt: skip
         magnitude.errorbar(f, [p.magnitude / size for p in full], [2 * p.uc_magnitude / size for p in full],
                            label=channel, **style)  # fmt: skip
         turned = np.unwrap([p.phase for p in full]) / DEGREE
@@ -419,15 +426,14 @@ def allan_deviation(runs: Sequence[Recorded]) -> Drawing | None:
         return None
     run, body = max(found, key=lambda one: float(one[1]["seconds"]))
     figure, axes = _new(2, 5.4)
-    kinds = (("acceleration", ("unit_a_x", "unit_c_x"), "m/s²"), ("rate", ("gyro_roll", "backup_roll"), "°/s"))
-    samples = run.samples(body["samples"])
-    recorded, sensors = {channel.name for channel in samples.channels}, run.header["sensor"]["channels"]
-    for ax, (_, names, unit) in zip(axes, kinds, strict=True):
-        for name in (n for n in names if n in recorded and n in sensors):
-            size = nominal_sensitivity(sensors[name]) * (DEGREE if unit == "°/s" else 1.0)
-            one = allan.overlapping(samples.volts(name) / size, samples.timing.scan_rate)
-            colour = COLOURS.get(name[:6], COLOURS.get(name.split("_")[0], INK))
-            ax.loglog(one.tau, one.deviation, color=colour, linewidth=1.2, label=name)
+    samples, sensor = run.samples(body["samples"]), Sensor.of(run.header)
+    shown = sensor.samples(channel.name for channel in samples.channels)
+    for ax, quantity, unit in zip(axes, ("acceleration", "rate"), ("m/s²", "°/s"), strict=True):
+        for channel in (one for one in shown if one.quantity == quantity):
+            size = channel.nominal * (DEGREE if unit == "°/s" else 1.0)
+            one = allan.overlapping(samples.volts(channel.name) / size, samples.timing.scan_rate)
+            colour = sensor.triad_of(channel.name).colour
+            ax.loglog(one.tau, one.deviation, color=colour, linewidth=1.2, label=channel.name)
             ax.fill_between(one.tau, one.low, one.high, color=colour, alpha=0.2, linewidth=0)
         ax.set_ylabel(f"Allan deviation / ({unit})" if "/" in unit else f"Allan deviation / {unit}")
         _legend(ax)

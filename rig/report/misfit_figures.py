@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.diagnose.misfit import Condition, conditions
-from rig.diagnose.misfit_cells import STEADY, family_of, tables, turned
+from rig.diagnose.misfit_cells import STEADY, tables, turned
 from rig.fit.adequacy import domains
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
-from rig.model import Local
+from rig.model import Channels, Local
 from rig.motion import Array
 from rig.parts.following import Following
 from rig.parts.part import Mask
@@ -24,7 +24,6 @@ from rig.parts.sines import Sines, split
 from rig.parts.turning import Turning
 from rig.report import imported_figures
 from rig.report.misfit_frame import APART, BAND, legend, new, plain, title
-from rig.report.run_figures import COLOURS
 from rig.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -201,7 +200,7 @@ def _points(ax: Any, part: Sines, values: Array, rows: Sequence[int], *, signed:
         for k, (_, some, at) in enumerate(_series(part)):
             mine = some & part.data.usable[row]
             order = np.argsort(at[mine], kind="stable")
-            style = {"color": _colour(part.channels.names, rows, row), "linewidth": 0.7, "alpha": 0.9}
+            style = {"color": _colour(part.channels, rows, row), "linewidth": 0.7, "alpha": 0.9}
             style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 4.5, "linestyle": "-" if k == 0 else ":"}
             label = name if k == 0 else None
             ax.plot(at[mine][order], values[row][mine][order], label=label, fillstyle="none", **style)
@@ -209,13 +208,12 @@ def _points(ax: Any, part: Sines, values: Array, rows: Sequence[int], *, signed:
         ax.axhline(0.0, color="#888888", linewidth=0.7)
 
 
-def _colour(names: Sequence[str], rows: Sequence[int], row: int) -> Any:
-    """That of the family; of several channels of a family, the later ones lighter."""
+def _colour(channels: Channels, rows: Sequence[int], row: int) -> Any:
+    """That of the unit; of several channels of a unit, the later ones lighter."""
     from matplotlib.colors import to_rgb
 
-    family = family_of(names[row])
-    before = [one for one in rows if family_of(names[one]) == family].index(row)
-    base = np.array(to_rgb(COLOURS.get(family, APART[list(names).index(names[row]) % len(APART)])))
+    before = [one for one in rows if channels.titles[one] == channels.titles[row]].index(row)
+    base = np.array(to_rgb(channels.colours[row] or APART[row % len(APART)]))
     return tuple((base + (1.0 - base) * 0.3 * before).clip(0.0, 1.0).tolist())
 
 
@@ -261,7 +259,7 @@ def turntable(fit: Fit, number: int, part: Turning, worst: Sequence[Condition]) 
     whitened = fit.left[fit.offsets()[number] :][: part.rows].reshape(len(part.channels.names), -1)
     rows = _shown(part, worst)
     for row in rows:
-        colour = _colour(part.channels.names, rows, row)
+        colour = _colour(part.channels, rows, row)
         _over_time(time, part, row, left[row], float(local.sensitivity[row]), colour)
         _over_angle(angle, part, row, left[row], float(local.sensitivity[row]), colour)
         _by_order(orders, part, whitened[row] ** 2, part.counted.reshape(whitened.shape)[row], colour)

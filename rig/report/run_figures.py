@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.archive.records import Recorded, Records, experiments, poses_of, signals
+from rig.sensor import Sensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rig.calibrate.calibration import Calibration, ResponsePoint
-
-COLOURS = {"unit_a": "#1f5fa8", "unit_b": "#c2571a", "unit_c": "#3c8a4a", "gyro": "#7a3b8f", "backup": "#c2571a"}
 
 
 def draw(records: Records, made: Calibration | None, folder: Path) -> list[Path]:
@@ -66,7 +65,7 @@ def response(made: Calibration, title: str) -> Figure:
         for number, level in enumerate(dict.fromkeys(point.level for point in points)):
             mine = [point for point in points if point.level == level and not point.flags]
             if mine:
-                _response_line((magnitude, phase), channel, mine, number)
+                _response_line((magnitude, phase), (channel, made.under_test.triad_of(channel).colour), mine, number)
     magnitude.set(xscale="log", ylabel="sensitivity ÷ that at the lowest")
     phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz (circles: first level, crosses: second)")
     _plain_ticks(phase)
@@ -74,10 +73,12 @@ def response(made: Calibration, title: str) -> Figure:
     return figure
 
 
-def _response_line(axes: Any, channel: str, points: list[ResponsePoint], number: int) -> None:
+def _response_line(axes: Any, drawn: tuple[str, str], points: list[ResponsePoint], number: int) -> None:
+    """One level of a channel; `drawn` is its name and colour."""
+    channel, colour = drawn
     f = [point.frequency for point in points]
     lowest = float(np.mean([point.magnitude for point in points[:3]]))
-    style = {"color": COLOURS[channel[:6]], "fmt": "ox+s"[number % 4] + "-", "markersize": 4, "linewidth": 0.9}
+    style = {"color": colour, "fmt": "ox+s"[number % 4] + "-", "markersize": 4, "linewidth": 0.9}
     style |= {"elinewidth": 0.8, "capsize": 1.5}
     values, bars = [p.magnitude / lowest for p in points], [2.0 * p.u_magnitude / lowest for p in points]
     axes[0].errorbar(f, values, yerr=bars, label=channel if number == 0 else None, **style)
@@ -113,14 +114,19 @@ def rotation(records: Recorded) -> Figure | None:
     bodies = [body for body in records.points.values() if "phase" in body]
     if not bodies:
         return None
-    axis = bodies[0]["gyro_axis"]
-    figure, axes = _new(2, 5.5, f"{records.header['title']}: raw output of the {axis} gyros")
-    for ax, name in zip(axes, (f"gyro_{axis}", f"backup_{axis}"), strict=True):
-        for body in bodies:
-            samples = records.samples(body["samples"])
-            seconds, volts = _thinned(samples.instants(name) + samples.start, samples.volts(name))
-            ax.plot((seconds - records.header["started"]), volts, linewidth=0.7, color=COLOURS[name.split("_")[0]])
-        ax.set_ylabel(f"{name} / V")
+    sensor, samples = Sensor.of(records.header), [records.samples(body["samples"]) for body in bodies]
+    recorded = {channel.name for channel in samples[0].channels}
+    gyros = [gyro for gyro in sensor.about(bodies[0]["gyro_axis"]) if gyro.name in recorded]
+    if not gyros:
+        return None
+    title = f"{records.header['title']}: raw output of the {bodies[0]['gyro_axis']} gyros"
+    figure, axes = _new(len(gyros), 1.0 + 2.25 * len(gyros), title)
+    for ax, gyro in zip(axes, gyros, strict=True):
+        for one in samples:
+            seconds, volts = _thinned(one.instants(gyro.name) + one.start, one.volts(gyro.name))
+            colour = sensor.triad_of(gyro.name).colour
+            ax.plot((seconds - records.header["started"]), volts, linewidth=0.7, color=colour)
+        ax.set_ylabel(f"{gyro.name} / V")
     axes[-1].set_xlabel("bench time since the run began / s")
     return figure
 
@@ -135,15 +141,11 @@ def density(records: Recorded) -> Figure | None:
     figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: noise density at the converter")
     samples = records.samples(bodies[0]["samples"])
     rate = samples.timing.scan_rate
-    for name, colour in (
-        ("unit_a_x", "unit_a"),
-        ("unit_c_x", "unit_c"),
-        ("gyro_yaw", "gyro"),
-        ("backup_yaw", "backup"),
-    ):
-        if any(channel.name == name for channel in samples.channels):
-            frequency, power = welch(samples.volts(name), rate, nperseg=min(len(samples.counts), 1 << 14))
-            ax.loglog(*_log_bins(frequency[1:], power[1:]), linewidth=1.0, label=name, color=COLOURS[colour])
+    sensor = Sensor.of(records.header)
+    for one in sensor.samples(channel.name for channel in samples.channels):
+        frequency, power = welch(samples.volts(one.name), rate, nperseg=min(len(samples.counts), 1 << 14))
+        colour = sensor.triad_of(one.name).colour
+        ax.loglog(*_log_bins(frequency[1:], power[1:]), linewidth=1.0, label=one.name, color=colour)
     ax.set(xlabel="frequency / Hz", ylabel="density / (µV/√Hz)")
     ax.legend(fontsize=8, frameon=False)
     return figure
@@ -165,15 +167,16 @@ def poses(records: Recorded) -> Figure | None:
         return None
     figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: residual of the straight line against gravity")
     means = [signals(records.samples(body["samples"])) for _, body in found]
-    for name, sensor in records.header["sensor"]["channels"].items():
-        if sensor["quantity"] == "acceleration" and name in means[0].names:
-            component = np.array([up["xyz".index(sensor["axis"])] for up, _ in found])
-            volts = np.array([one.of(name).mean() for one in means])
+    for unit in Sensor.of(records.header).of_quantity("acceleration"):
+        label = f"{unit.title} {' '.join(unit.axes)}"
+        for channel in (one for one in unit.channels if one.name in means[0].names):
+            component = np.array([up[channel.place] for up, _ in found])
+            volts = np.array([one.of(channel.name).mean() for one in means])
             slope, offset = np.polyfit(component, volts, 1)
             left = (volts - slope * component - offset) / slope * 1e3
-            ax.plot(range(1, len(left) + 1), left, "o-", markersize=3, linewidth=0.6, color=COLOURS[name[:6]])
-    for unit in ("unit_a", "unit_b", "unit_c"):
-        ax.plot([], [], "o-", markersize=3, color=COLOURS[unit], label=f"{unit} x y z")
+            style = {"markersize": 3, "linewidth": 0.6, "color": unit.colour, "label": label}
+            ax.plot(range(1, len(left) + 1), left, "o-", **style)
+            label = "_"  # the legend names a unit once
     ax.set(xlabel="pose", ylabel="residual / mg")
     ax.legend(fontsize=8, frameon=False)
     return figure

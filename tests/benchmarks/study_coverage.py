@@ -25,6 +25,7 @@ from rig.calibrate.calibration import Calibration, Result
 from rig.calibrate.resting import LOWEST, Resting
 from rig.parts.reading.revolutions import rotation_of
 from rig.parts.reading.vibration import chain_of, sine_points
+from rig.sensor import Sensor
 from rig.signals.noise import NoiseModel
 
 SEEDS = int(os.environ.get("RIG_SEEDS", "200"))
@@ -103,7 +104,7 @@ def _bounds(
     """Cramér–Rao bound with the noise as drawn, combined with the reference's terms, by result."""
     bounds = {}
     sweep, turning = runs[2], runs[3]
-    chain, sensors = chain_of(sweep), calibrate.sensors_of(sweep.header)
+    chain, sensor = chain_of(sweep), Sensor.of(sweep.header)
     points = sine_points(sweep, chain)
     seconds = 3125 / 3125.0
     for unit in ("unit_a", "unit_b", "unit_c"):
@@ -115,11 +116,12 @@ def _bounds(
             line = p.lines[name]
             variance = np.full(len(line.variance), float(drawn.density(p.frequency)) / seconds)
             exact.append(replace(p, lines={name: replace(line, variance=variance)}))
-        fit = accelerometers.fit_channel(accelerometers.observed(exact, name), name, chain, sensors[name].bandwidth)
+        bandwidth = sensor.channel(name).bandwidth
+        fit = accelerometers.fit_channel(accelerometers.observed(exact, name), name, chain, bandwidth)
         reference = math.hypot(*(c.contribution for c in result.contributions if c.kind == "B"))
         bounds[result.key] = math.hypot(fit.sensitivity * fit.adjustment.u_noise("log_sensitivity"), reference)
-    channels = [c for c in turning.header["bench_file"]["cables"]["turntable"] if c in sensors]
-    rotation = rotation_of(turning, channels, {n: s.nominal for n, s in sensors.items()})
+    channels = [c for c in turning.header["bench_file"]["cables"]["turntable"] if c in sensor]
+    rotation = rotation_of(turning, channels, sensor)
     setup = gyros.Setup(chain.time_base, 0.0, 0.0, 9.81, None, {}, {})
     for name in (f"gyro_{gyro}", f"backup_{gyro}"):
         result, noise = made.result(f"{name}.sensitivity"), made_noise(runs, name)
@@ -133,7 +135,7 @@ def made_noise(runs: list[fast_bench.MemoryRecords], name: str) -> Resting:
     """The noise that the calibration used."""
     from rig.calibrate.resting import noise_of
 
-    poles = {n: s.bandwidth for n, s in calibrate.sensors_of(runs[0].header).items()}
+    poles = {c.name: c.bandwidth for c in Sensor.of(runs[0].header).channels}
     return noise_of(runs, [name], poles)[0][name]
 
 

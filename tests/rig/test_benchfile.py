@@ -131,11 +131,32 @@ def test_a_named_file_that_is_not_there_is_a_mistake(changed: Change, old: str, 
 
 
 def test_data_sheet_sensitivities_are_si() -> None:
-    channels = describe(SHIPPED).sensor.channels
-    assert channels["unit_a_x"].sensitivity_si == pytest.approx(0.660 / 9.80665)
-    assert {name for name, one in channels.items() if one.quantity == "rate"} == {
+    sensor = describe(SHIPPED).unit
+    assert sensor.channel("unit_a_x").nominal == pytest.approx(0.660 / 9.80665)
+    assert {one.name for one in sensor.channels if one.is_rate} == {
         f"{kind}_{axis}" for kind in ("gyro", "backup") for axis in ("pitch", "roll", "yaw")
     }
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("unit_a_y: {part: LIS2L02 class, unit: unit_a", "unit_a_y: {part: LIS2L02 class, unit: unit_b",
+         "found unit_a_y and unit_b_y along y in unit_b, wanted one of them"),
+        ("gyro_roll: {part: CRS03-11 class, unit: gyro", "gyro_roll: {part: CRS03-11 class, unit: unit_a",
+         "found accelerometers and gyros in unit_a, wanted a unit of one quantity"),
+        ("  unit_b: {title", "  unit_d: {title", "found unit_d, wanted a unit that a channel names"),
+        ("primary: unit_a", "primary: gyro", "found gyro, wanted a unit of accelerometers that a channel names"),
+        ("58 µg/√Hz", "58 µg", "found '58 µg', wanted a density of accelerometer noise such as '60 µg/√Hz'"),
+        ("[1 Hz, 10 Hz]", "[10 Hz, 1 Hz]", "found 10 Hz to 1 Hz, wanted the lower one first"),
+    ],
+)  # fmt: skip
+def test_a_sensor_file_that_contradicts_itself_is_refused_in_words(
+    changed: Change, old: str, new: str, text: str
+) -> None:
+    (line,) = said(changed((old, new), file="sensors/simulated_cube.yaml"))
+    assert line.startswith("simulated_cube.yaml:")
+    assert line.endswith(text)
 
 
 @pytest.mark.parametrize("path", sorted(shipped("standards").glob("*.yaml")), ids=lambda path: path.stem)

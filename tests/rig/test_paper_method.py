@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rig.calibrate import paper_method
 from rig.errors import BadInput
 from rig.parts.reading.vibration import chain_of, sine_points
+from rig.sensor import Sensor
 from rig.signals.rotation import Edges, turns
 
 RATE = 3125.0  # Hz
@@ -137,7 +138,7 @@ def test_a_turntable_run_shows_the_bias_of_every_estimate(inverted: bool) -> Non
     world = fast_bench.world(5)
     document = {"procedure": "turntable", "speed": "45 rpm", "axis": "roll", "revolutions": 6, "rest": "1 s"}
     records = fast_bench.measure({**document, "inverted": inverted}, world)
-    rows = paper_method.gyro_rows(records, records.header["sensor"]["channels"])
+    rows = paper_method.gyro_rows(records, Sensor.of(records.header))
     assert {row.row for row in rows} == {"Roll", "Backup Gyros"}
     assert [row.estimate for row in rows if row.channel == "gyro_roll"] == [
         "eq. 13, mean, raw intervals",
@@ -155,8 +156,8 @@ def test_a_turntable_run_shows_the_bias_of_every_estimate(inverted: bool) -> Non
 def test_a_sweep_shows_the_output_filter_in_the_line_over_all_frequencies() -> None:
     world = fast_bench.world(5)
     records = fast_bench.measure({"procedure": "frequency_sweep", "axis": "x", "points": 8, "static": "1 s"}, world)
-    points, sensors = sine_points(records, chain_of(records)), records.header["sensor"]["channels"]
-    rows = paper_method.accelerometer_rows(points, sensors, [records])
+    points, sensor = sine_points(records, chain_of(records)), Sensor.of(records.header)
+    rows = paper_method.accelerometer_rows(points, sensor, [records])
     assert {(row.row, row.channel) for row in rows} == {
         ("2g Unit", "unit_a_x"), ("2g Unit", "unit_b_x"), ("10g Unit", "unit_c_x"),
     }  # fmt: skip

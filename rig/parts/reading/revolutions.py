@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, mounts
 from rig.errors import BadInput
+from rig.sensor import ROTATIONS, Sensor
 from rig.signals import spectrum
 from rig.signals.rotation import Edges, Track, Turns, edges_of, encoder_settings, turns
 
@@ -26,7 +27,7 @@ REST_BLOCK = 1.5  # s
 MOVING_BLOCK = 0.3  # s
 SLOWEST = 0.3  # rad/s; below it lines are too far apart for a local rate
 MOST_BLOCKS = 120  # of one record
-AXES = {"roll": 0, "yaw": 1, "pitch": 2}
+AXES = {word: place for place, word in enumerate(ROTATIONS)}
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,8 @@ class Rotation:
         return sum(block.clipped.get(channel, 0) for block in self.blocks)
 
 
-def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str, float]) -> Rotation:
-    """Reduce a turntable run; `nominal` sensitivities, V/(rad/s), serve only to take the wow out of noise in motion.
+def rotation_of(records: Recorded, channels: Sequence[str], sensor: Sensor) -> Rotation:
+    """Reduce a turntable run; nominal sensitivities of the `sensor` only take the wow out of noise in motion.
 
     Raises BadInput if the run has no hold, or a hold has no whole revolutions that can be trusted.
     """
@@ -127,7 +128,7 @@ def rotation_of(records: Recorded, channels: Sequence[str], nominal: Mapping[str
                 found.append(_moving(records, body, mount, channels, track))
     if longest is None:
         raise BadInput(f"{records.name}: found no hold at a steady rate, wanted one for a gyro's sensitivity")
-    lines, step = _noise_in_motion(records, longest[1], longest[2], longest[3], channels, nominal)
+    lines, step = _noise_in_motion(records, longest[1], longest[2], longest[3], channels, sensor)
     return Rotation(records.name, tuple(found), lines, step, tuple(f for one in found for f in one.flags))
 
 
@@ -245,14 +246,14 @@ def _noise_in_motion(
     mount: Mount,
     track: Track,
     channels: Sequence[str],
-    nominal: Mapping[str, float],
+    sensor: Sensor,
 ) -> tuple[dict[str, spectrum.Lines], float]:
     """Lines of the output of the gyros on the axis during a hold, the encoder's rate times S taken off."""
-    names = [c for c in channels if c in (f"gyro_{mount.axis}", f"backup_{mount.axis}")]
+    nominal = {gyro.name: gyro.nominal for gyro in sensor.about(mount.axis) if gyro.name in channels}
     fed: dict[str, spectrum.Periodogram] = {}
     step = 0.0
     for piece in records.pieces(str(body["samples"])):
-        for name in names:
+        for name in nominal:
             channel = piece.channels[piece.index(name)]
             step = (channel.high - channel.low) / 65535.0
             instants = piece.instants(name)

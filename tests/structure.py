@@ -21,7 +21,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("cli",), ("foreign.guessing", "notebook"), ("repair",), ("certificate", "export", "report"), ("calibrate",),
     ("diagnose",), ("figures",), ("fit",), ("parts",), ("bench", "foreign"), ("shelf", "formula"),
     ("own_effects", "effects"), ("model",), ("motion",), ("archive",), ("signals",),
-    ("record", "room", "sensor", "printed"), ("yaml",), ("units", "dimensions"), ("errors",),
+    ("record", "room", "sensor", "printed", "correction"), ("yaml",), ("units", "dimensions"), ("errors",),
 )  # fmt: skip
 NO_LAYER = ("__init__", "__main__")  # the package itself, and the door to `cli`
 PART_METHODS = {"whitened", "own_columns"}  # what only a part has: its rows in standard deviations, its own columns

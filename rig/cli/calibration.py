@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 NAME = click.option("--name", cls=Carried, help="Name of the calibration [default: the unit's serial and the day].")
-FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python")
+FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python", "c")
 
 
 @click.command(short_help="Calibrate a unit from its runs.")
@@ -106,15 +106,17 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
     _refuse_failed(made)
 
 
-@click.command(short_help="Write a calibration for robots and other programs.")
-@click.argument("name", metavar="CALIBRATION")
+@click.command(short_help="Write a calibration or a repaired model for robots and other programs.")
+@click.argument("name", metavar="[CALIBRATION]", required=False)
 @click.option("--to", "format", type=click.Choice(FORMATS), required=True, help="Format.")
 @click.option(
     "--out", cls=Carried, type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>]."
 )
 @click.option("--unit", cls=Carried, default="unit_a", show_default=True, help="Accelerometer triad.")
 @click.option("--gyro", cls=Carried, default="gyro", show_default=True, help="Gyro triad: gyro or backup.")
-@click.option("--rate", cls=Carried, type=float, help="Rate of the robot's messages, Hz (Kalibr).")
+@click.option(
+    "--rate", cls=Carried, type=float, help="Samples per second of the robot: messages (Kalibr), records (a model)."
+)
 @click.option("--topic", cls=Carried, default="/imu0", show_default=True, help="ROS topic (Kalibr).")
 @click.option(
     "--assume",
@@ -123,10 +125,24 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
     metavar="KEY=VALUE",
     help="A Kalibr value that no record determined; marked.",
 )
+@click.option(
+    "--model", cls=Carried, type=click.Path(dir_okay=False, path_type=Path), help="Model file to write (python, c)."
+)
+@click.option(
+    "--channel", "channels", cls=Carried, multiple=True, metavar="NAME", help="Only these channels of the model."
+)
+@click.option("--single", is_flag=True, help="Floats instead of doubles (c).")
+@click.option(
+    "--effects",
+    cls=Carried,
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="RIG_EFFECTS",
+    help="Folder with effects of your own (or RIG_EFFECTS).",
+)
 @runs_option
 @json_option
 def export(
-    name: str,
+    name: str | None,
     format: str,
     out: Path | None,
     unit: str,
@@ -134,13 +150,32 @@ def export(
     rate: float | None,
     topic: str,
     assume: tuple[str, ...],
+    model: Path | None,
+    channels: tuple[str, ...],
+    single: bool,
+    effects: Path | None,
     runs: Path,
     as_json: bool,
 ) -> None:
-    """Write calibration NAME as Kalibr or ROS 2 YAML, CSV, MAT (v5), HDF5 or a Python module without dependencies."""
+    """Write CALIBRATION as Kalibr or ROS 2 YAML, CSV, MAT (v5), HDF5 or a Python module without dependencies.
+
+    With --model, a repaired model is written instead, as a Python module or a header in C99 that turn volts into m/s²
+    and rad/s: zero, sensitivity, temperature, supply, nonlinearity, cross-axis, lever arm, with --rate filters and
+    delays too. What cannot be undone is said, here and in the file. `--to c` without --model takes models/<serial>.yaml
+    of the calibration's unit.
+    """
     from rig.calibrate.calibration import load, path_of
+    from rig.errors import BadInput
     from rig.export import write
 
+    if model is not None or format == "c":
+        path = model or _model_of(name, runs)
+        _export_model(path, format, out or runs / "reports" / path.stem, rate, channels, single, effects, as_json)
+        return
+    if name is None:
+        raise BadInput("export: found neither a calibration nor --model, wanted one of them")
+    if channels or single:
+        raise BadInput("export: found --channel or --single without --model, wanted a model's file")
     made = load(path_of(runs, name))
     folder = out or runs / "reports" / name
     written = write(made, format, folder, unit=unit, gyros=gyro, rate=rate, topic=topic, assumed=_assumed(assume))
@@ -150,6 +185,40 @@ def export(
     for path in written:
         click.echo(f"{format}: {path}")
     say_next(command("export", name, "--to", "csv" if format != "csv" else "mat"))
+
+
+def _model_of(name: str | None, runs: Path) -> Path:
+    """The model of the unit that a calibration is of."""
+    from rig.calibrate.calibration import load, path_of
+    from rig.errors import BadInput
+    from rig.repair.model_file import path_of as model_path_of
+
+    if name is None:
+        raise BadInput("export --to c: found no model, wanted --model FILE (made by `rig fit` or `rig add`)")
+    return model_path_of(runs, load(path_of(runs, name)).serial)
+
+
+def _export_model(
+    path: Path, format: str, folder: Path, rate: float | None, channels: Sequence[str], single: bool,
+    effects: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    from rig.export import write_model
+    from rig.export.correction_numbers import stays
+    from rig.repair.correction import correction_at
+    from rig.shelf import shelf
+
+    found = correction_at(path, shelf(effects))
+    correction = found.only(channels) if channels else found
+    written = write_model(correction, format, folder, rate=rate, single=single)
+    kept = stays(correction, rate)
+    if as_json:
+        files = [str(one) for one in written]
+        print_json({"model": str(path), "format": format, "files": files, "not_undone": kept})
+        return
+    for one in written:
+        click.echo(f"{format}: {one}{'  SIMULATED' if correction.simulated else ''}")
+    click.echo("\n".join(f"  note: {sentence}" for sentence in kept))
+    say_next(command("export", "--model", path, "--to", "c" if format != "c" else "python"))
 
 
 def _assumed(given: Sequence[str]) -> dict[str, float]:

@@ -15,8 +15,9 @@ from types import MappingProxyType
 
 from rig.archive.durable import keeping, write_whole
 from rig.calibrate.calibration import Calibration, path_of
+from rig.correction.correction import Correction
 from rig.errors import BadInput
-from rig.export import hdf5, kalibr, matlab, python_module, ros2, table
+from rig.export import c_header, hdf5, kalibr, matlab, model_module, python_module, ros2, table
 from rig.export.selection import Choice
 
 Files = Mapping[str, bytes]
@@ -41,6 +42,8 @@ FORMATS: Mapping[str, Format] = MappingProxyType(
         "python": Format(python_module.files, ("_calibration.py",), "a module that applies the calibration"),
     }
 )
+
+MODEL_FORMATS = ("python", "c")
 
 
 def write(
@@ -70,6 +73,26 @@ def write(
     for path, data in zip(paths, contents.values(), strict=True):
         write_whole(path, data)
     return paths
+
+
+def write_model(
+    correction: Correction, format: str, folder: Path, *, rate: float | None = None, single: bool = False
+) -> list[Path]:
+    """Write a repaired model, turned round, as a Python module or a header in C, and return the files.
+
+    `rate`: samples per second at which filters and delays are to be undone. `single`: floats in C instead of doubles.
+    Raises BadInput for another format, and ArchiveError if a file cannot be kept. Nothing is written then.
+    """
+    if format not in MODEL_FORMATS:
+        raise BadInput(f"export --model: found '{format}', wanted --to {' or '.join(MODEL_FORMATS)}")
+    if single and format != "c":
+        raise BadInput(f"export --single: found --to {format}, wanted --to c")
+    contents = c_header.files(correction, rate, single) if format == "c" else model_module.files(correction, rate)
+    with keeping(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, data in contents.items():
+        write_whole(folder / name, data)
+    return [folder / name for name in contents]
 
 
 def _stem(calibration: Calibration, format: str) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
 
@@ -50,7 +50,7 @@ def files(calibration: Calibration, choice: Choice) -> dict[str, bytes]:
             "wanted one (the offset comes from a static record, `rig noise`)"
         )
     before, annotated, after = _template()
-    body = "\n".join(f"{head} = {_literal(numbers[name])}" for name, head in annotated.items())
+    body = "\n".join(f"{head} = {literal(numbers[name])}" for name, head in annotated.items())
     return {"_calibration.py": f"{_docstring(calibration)}{before}{body}\n{after}".encode()}
 
 
@@ -145,11 +145,16 @@ def _docstring(calibration: Calibration) -> str:
         "",
         *(stated(result) for result in found),
     ]
+    return quoted(lines)
+
+
+def quoted(lines: Sequence[str]) -> str:
+    """A docstring that its text cannot leave."""
     text = "\n".join(lines).replace("\\", "\\\\").replace('"', '\\"')
     return f'"""{text}\n"""'
 
 
-def _literal(value: Mapping[str, Any]) -> str:
+def literal(value: Mapping[str, Any]) -> str:
     """A dictionary with one entry a line."""
     entries = "".join(f"    {key!r}: {inner!r},\n" for key, inner in _plain(value).items())
     return f"{{\n{entries}}}"
@@ -161,4 +166,6 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_plain(inner) for inner in value]
+    if isinstance(value, tuple):
+        return tuple(_plain(inner) for inner in value)
     return float(value) if isinstance(value, float) else value

@@ -25,7 +25,23 @@ import numpy as np
 from rig import units as spelled
 from rig.dimensions import Dimension, dimension_of, solve, unknown
 from rig.errors import BadInput
-from rig.model import EVERYWHERE, SI, Array, Channels, Coordinate, Effect, Motion, Parameter, Quantity, Term, Values
+from rig.model import (
+    EVERYWHERE,
+    SI,
+    Added,
+    Array,
+    Channels,
+    Coordinate,
+    Effect,
+    Expression,
+    Inverse,
+    Lost,
+    Motion,
+    Parameter,
+    Quantity,
+    Term,
+    Values,
+)
 from rig.motion import Periods
 
 LONGEST = 400  # characters
@@ -59,6 +75,11 @@ _ANGLES = frozenset({"sin", "cos", "tan", "exp"})
 _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = MappingProxyType(
     {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power}
 )
+_SYMBOLS: Mapping[type[ast.operator], str] = MappingProxyType(
+    {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+)
+CARRIED = frozenset({"u", "a", "x", "y", "z", "wx", "wy", "wz", "t", "T", "Vs"})  # what goes along with a robot
+SAME: Mapping[str, str] = MappingProxyType({"a": "u"})
 _WANTED = "numbers, names, + - * / **, parentheses and the functions " + " ".join(FUNCTIONS)
 
 
@@ -229,6 +250,29 @@ class FormulaEffect(Effect):
             theirs = np.array([name in self.only for name in channels.names])
             more = more * theirs.reshape(-1, *(1,) * (felt.ndim - 1))
         return np.asarray(felt + np.broadcast_to(more, felt.shape))
+
+    def inverse(self, at: Values) -> Inverse:
+        """Its value is taken off where a robot knows all its signals."""
+        unknown = [name for name in self.formula.signals if name not in CARRIED]
+        if unknown:
+            return Lost(f"a robot does not know {_list(unknown)}, which only the bench has")
+        if self.only:
+            return Lost("it acts on some channels only")
+        return Added(_expression(self.formula.tree, at))
+
+
+def _expression(node: ast.expr, at: Values) -> Expression:
+    """The formula with numbers in place of its coefficients."""
+    match node:
+        case ast.Name(id=name):
+            return SAME.get(name, name) if name in SIGNALS else float(at[name])
+        case ast.UnaryOp(operand=inner):
+            return ("neg", _expression(inner, at))
+        case ast.BinOp(left=left, op=operation, right=right):
+            return (_SYMBOLS[type(operation)], _expression(left, at), _expression(right, at))
+        case ast.Call(func=ast.Name(id=name), args=[argument]):
+            return (name, _expression(argument, at))
+    return float(cast(float, cast(ast.Constant, node).value))
 
 
 def term_of(effect: Effect) -> Term:

@@ -22,7 +22,21 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.correction.inverse import NEXT, Bend, Drift, Filtered, Inverse, Late, Lost, Nothing, Quantity, Shares, arms
+from rig.correction.inverse import (
+    NEXT,
+    Added,
+    Bend,
+    Drift,
+    Expression,
+    Filtered,
+    Inverse,
+    Late,
+    Lost,
+    Nothing,
+    Quantity,
+    Shares,
+    arms,
+)
 from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
 
 Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
@@ -33,9 +47,9 @@ BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
 EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
 
 __all__ = [
-    "BOTH", "EVERYWHERE", "NEXT", "SI", "Array", "Bend", "Channels", "Complexes", "Coordinate", "Drift", "Effect",
-    "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing", "Parameter", "Periods", "Quantity", "Shares",
-    "Stage", "Stretches", "Term", "Values", "arms", "at_work", "volts",
+    "BOTH", "EVERYWHERE", "NEXT", "SI", "Added", "Array", "Bend", "Channels", "Complexes", "Coordinate", "Drift",
+    "Effect", "Expression", "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing", "Parameter", "Periods",
+    "Quantity", "Shares", "Stage", "Stretches", "Term", "Values", "arms", "at_work", "volts",
 ]  # fmt: skip
 
 

@@ -17,13 +17,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rig.correction import expression
 from rig.correction.dynamics import Taps, lag, taps
 from rig.correction.inverse import (
     UNITS,
+    Added,
     Array,
     Bend,
     Complexes,
+    Condition,
     Drift,
+    Expression,
     Filtered,
     Inverse,
     Late,
@@ -37,6 +41,12 @@ from rig.errors import BadInput
 SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 AXES = "xyz"
 PASSES = 6  # of what is felt of turning, which depends on the rates that it is taken off
+ROUNDS = 40  # of what is felt by formulas: one that changes by half of a change of its input has then settled
+SIGNALS: Mapping[str, tuple[Quantity, int]] = {
+    "x": ("acceleration", 0), "y": ("acceleration", 1), "z": ("acceleration", 2),
+    "wx": ("rate", 0), "wy": ("rate", 1), "wz": ("rate", 2),
+}  # fmt: skip
+CONDITIONS: Mapping[str, Condition] = {"T": "temperature", "Vs": "supply", "t": "time"}
 CONVERTER = (-10.0, 10.0)  # V, range of the rig's own converter
 CODES = 65535.0
 
@@ -76,6 +86,21 @@ class Felt:
     first: int
     second: int | None
     share: float
+
+
+@dataclass(frozen=True)
+class Written:
+    """What `channel` feels more as arithmetic; `sources` are the channels that its signals stand for."""
+
+    channel: int
+    expression: Expression
+    sources: Mapping[str, int]
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What must be given besides."""
+        signals = dict.fromkeys(expression.names(self.expression))
+        return tuple(CONDITIONS[name] for name in signals if name in CONDITIONS)
 
 
 @dataclass(frozen=True)
@@ -164,9 +189,24 @@ class Correction:
             for bend in reversed(self.bends(c)):
                 seen[c] = bend.straight(seen[c])
         found = self._apart(seen)
-        for _ in range(PASSES if self.felt else 0):
-            found = self._apart(seen - self._turning(found, rate))
+        for _ in range(self.passes):
+            found = self._apart(seen - self._turning(found, rate) - self._more(found, conditions))
         return found
+
+    @property
+    def passes(self) -> int:
+        """How often what depends on the result is taken off."""
+        return ROUNDS if self.written else PASSES if self.felt else 0
+
+    def _more(self, found: Array, conditions: Mapping[str, Array]) -> Array:
+        """What is felt by formulas, (c, …)."""
+        more = np.zeros_like(found)
+        for one in self.written:
+            if all(of in conditions for of in one.conditions):
+                signals = {name: found[source] for name, source in one.sources.items()}
+                signals |= {name: conditions[of] for name, of in CONDITIONS.items() if of in conditions}
+                more[one.channel] += expression.value(one.expression, signals)
+        return more
 
     def _apart(self, felt: Array) -> Array:
         """A⁻¹·felt, without the zeros: what one channel cannot tell (NaN) is not spread over the others."""
@@ -287,6 +327,26 @@ class Correction:
             if first is not None and second is not None:
                 yield Felt(c, first, second, float(shares.spin[axis, j, k]))
 
+    @cached_property
+    def written(self) -> tuple[Written, ...]:
+        """What is felt by formulas, of channels that have all signals."""
+        found = []
+        for _, c, tree in self._added():
+            sources = {name: self._stands_for(c, name) for name in expression.names(tree) if name not in CONDITIONS}
+            known = {name: source for name, source in sources.items() if source is not None}
+            if len(known) == len(sources):
+                found.append(Written(c, tree, known))
+        return tuple(found)
+
+    def _added(self) -> Iterator[tuple[str, int, Expression]]:
+        for one in self.undone:
+            for c, channel in enumerate(self.channels):
+                if isinstance(one.inverse, Added) and one.on in (None, channel.quantity):
+                    yield one.name, c, one.inverse.expression
+
+    def _stands_for(self, c: int, name: str) -> int | None:
+        return c if name == "u" else self.source(c, *SIGNALS[name])
+
     def _shares(self) -> Iterator[tuple[int, int, Shares, str]]:
         for one in self.undone:
             for c, channel in enumerate(self.channels):
@@ -332,6 +392,10 @@ class Correction:
             missing = list(self._missing(c, axis, shares))
             if missing:
                 yield f"{name}: not undone for {self.channels[c].name}, found no channel of {' and '.join(missing)}"
+        for name, c, tree in self._added():
+            lacking = [one for one in expression.names(tree) if one in SIGNALS and self._stands_for(c, one) is None]
+            if lacking:
+                yield f"{name}: not undone for {self.channels[c].name}, found no channel that tells {lacking[0]}"
         for channel in self.channels:
             if channel.u_zero is None:
                 yield f"{channel.name}: {channel.zero:g} V is taken off as zero output, whose uncertainty is not known"
@@ -362,6 +426,8 @@ class Correction:
                 yield f"filters and delays of {', '.join(names)}: {words}"
 
     def _of_conditions(self, conditions: Sequence[str]) -> Iterator[str]:
+        lacking = dict.fromkeys(of for one in self.written for of in one.conditions if of not in conditions)
+        yield from (f"{of}: not given, what follows it by a formula is not undone" for of in lacking)
         for of in ("temperature", "supply", "time"):
             usual = {d.usual for c in range(len(self.channels)) for d in self.drifts(c) if d.of == of}
             if usual and of not in conditions:

@@ -2,7 +2,7 @@
 dependencies and a header in C can carry out the same.
 
     raw V → zero and sensitivity (`Drift`) → filters and delays (`Filtered`, `Late`)
-          → characteristics (`Bend`) → what is felt of other axes and of turning (`Shares`) → SI
+          → characteristics (`Bend`) → what is felt besides (`Shares`, `Added`) → SI
 
 An effect says of which kind it is (`Effect.inverse`), or that there is `Nothing` to undo in the unit because it belongs
 to the bench, or that what it does is `Lost`.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Quantity = Literal["acceleration", "rate"]
 Condition = Literal["", "temperature", "supply", "time"]
+Expression = float | str | tuple[Any, ...]  # see `rig.correction.expression`
 UNITS = {"temperature": "°C", "supply": "V", "time": "s"}
 
 MOST = 80  # steps of an iteration: halving alone would do in these
@@ -204,6 +205,17 @@ def arms(own: Array) -> Shares:
 
 
 @dataclass(frozen=True)
+class Added:
+    """What every channel feels more, SI, as arithmetic of what it and its neighbours went through, taken off in rounds.
+
+    Signals: `u` its own input; `x` `y` `z` specific force along and `wx` `wy` `wz` rate about the axes, m/s² and
+    rad/s; `T` °C, `Vs` V, `t` s. It must be small beside the input: a change of u changes it by less.
+    """
+
+    expression: Expression
+
+
+@dataclass(frozen=True)
 class Nothing:
     """Nothing to undo in the unit, and why: it belongs to the bench, or to chance."""
 
@@ -217,4 +229,4 @@ class Lost:
     why: str
 
 
-Inverse = Drift | Filtered | Late | Bend | Shares | Nothing | Lost
+Inverse = Drift | Filtered | Late | Bend | Shares | Added | Nothing | Lost

@@ -7,9 +7,10 @@ sim_cube_1_apply(volts, temperature, supply, time, out);
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from rig.correction.correction import Correction
+from rig.correction.correction import CONDITIONS, Correction, Written
+from rig.correction.expression import in_c
 from rig.correction.inverse import Drift
 from rig.export.correction_numbers import (
     Numbers,
@@ -17,7 +18,6 @@ from rig.export.correction_numbers import (
     half,
     heading,
     numbers_of,
-    passes,
     rows_apart,
     stays,
     stem,
@@ -70,6 +70,7 @@ def files(correction: Correction, rate: float | None = None, single: bool = Fals
         *_channels(write, channels, names),
         *_input(write, channels),
         *_root(write),
+        *_sign(write, correction),
         *_separate(write, correction, channels),
         *_apply(write),
         *_filter(write, channels, rate),
@@ -172,15 +173,22 @@ def _root(write: _Writer) -> list[str]:
     ]
 
 
+def _sign(write: _Writer, correction: Correction) -> list[str]:
+    if not any("sign" in str(one.expression) for one in correction.written):
+        return []
+    return [f"static inline double {write.p}_sign(double x) {{ return (x > 0.0) - (x < 0.0); }}", ""]
+
+
 def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers]) -> Iterator[str]:
     r, count = write.real, len(channels)
     yield "/* What each axis went through, of what each channel felt. rise: derivatives of out, per second, where the"
     yield " * caller knows them (angular acceleration), else 0 in place of the array: what they add then stays. */"
-    yield f"static inline void {write.p}_separate(const {r} felt[{count}], const {r} rise[{count}], {r} out[{count}])"
+    yield f"static inline void {write.p}_separate(const {r} felt[{count}], const {r} rise[{count}], {r} temperature,"
+    yield f"                                      {r} supply, {r} time, {r} out[{count}])"
     yield "{"
     yield f"    {r} seen[{count}], left[{count}];"
-    yield f"    int n, pass = {passes(correction)};"
-    yield "    (void)rise;"
+    yield f"    int n, pass = {correction.passes};"
+    yield "    (void)rise; (void)temperature; (void)supply; (void)time;"
     yield f"    for (n = 0; n < {count}; ++n) seen[n] = felt[n];"
     for number, one in enumerate(channels):
         for bend in reversed(one.bends):
@@ -202,9 +210,23 @@ def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers
             yield f"        if (rise) {into} -= {share} * rise[{felt.first}];"
         else:
             yield f"        {into} -= {share} * out[{felt.first}] * out[{felt.second}];"
+    for written in correction.written:
+        more = in_c(written.expression, _signals(write, written))
+        yield f"        left[{written.channel}] -= ({r})({more});"
     yield "    }"
     yield "}"
     yield ""
+
+
+def _signals(write: _Writer, one: Written) -> Callable[[str], str]:
+    """Words of C for the signals of a formula."""
+
+    def words(name: str) -> str:
+        if name in one.sources:
+            return f"out[{one.sources[name]}]"
+        return f"{write.p}_sign" if name == "sign" else CONDITIONS[name]
+
+    return words
 
 
 def _apply(write: _Writer) -> list[str]:
@@ -216,7 +238,7 @@ def _apply(write: _Writer) -> list[str]:
         "{",
         f"    {r} felt[{count}];",
         f"    {write.p}_input(volts, temperature, supply, time, felt);",
-        f"    {write.p}_separate(felt, 0, out);",
+        f"    {write.p}_separate(felt, 0, temperature, supply, time, out);",
         "}",
         "",
     ]
@@ -227,14 +249,15 @@ def _filter(write: _Writer, channels: Sequence[Numbers], rate: float | None) -> 
     if rate is None or not filtered(channels):
         return []
     latency = max(0, *(one.ahead + len(one.taps) // 2 for one in channels))
-    length = latency - min(one.ahead - len(one.taps) // 2 for one in channels) + 1
+    length = latency - min(0, *(one.ahead - len(one.taps) // 2 for one in channels)) + 1
+    wide = len(channels) + 3
     return [
         f"#define {write.caps}_RATE {write.number(float(rate))} /* samples per second */",
         f"#define {write.caps}_LATENCY {latency} /* samples: what {write.p}_step gives belongs to so many before */",
         "",
         *_taps(write, channels),
-        "/* The last samples; all zero to begin with. */",
-        f"typedef struct {{ {write.real} past[{length}][{len(channels)}]; int newest; int begun; }} {write.p}_filter;",
+        "/* The last samples, and temperature, supply and time with them; all zero to begin with. */",
+        f"typedef struct {{ {write.real} past[{length}][{wide}]; int newest; int begun; }} {write.p}_filter;",
         "",
         *_sum(write, length),
         *_step(write, channels, latency, length),
@@ -271,18 +294,21 @@ def _step(write: _Writer, channels: Sequence[Numbers], latency: int, length: int
     yield f"static inline void {write.p}_step({write.p}_filter *filter, const {r} volts[{count}], {r} temperature,"
     yield f"                                  {r} supply, {r} time, {r} out[{count}])"
     yield "{"
-    yield f"    {r} felt[{count}];"
+    yield f"    {r} felt[{count}], *now;"
     yield "    int n, k;"
     yield f"    {write.p}_input(volts, temperature, supply, time, felt);"
     yield f"    filter->newest = (filter->newest + 1) % {length};"
-    yield f"    for (n = 0; n < {count}; ++n) filter->past[filter->newest][n] = felt[n];"
+    yield "    now = filter->past[filter->newest];"
+    yield f"    for (n = 0; n < {count}; ++n) now[n] = felt[n];"
+    yield f"    now[{count}] = temperature; now[{count + 1}] = supply; now[{count + 2}] = time;"
     yield "    if (!filter->begun) {"
-    yield f"        for (k = 0; k < {length}; ++k) for (n = 0; n < {count}; ++n) filter->past[k][n] = felt[n];"
+    yield f"        for (k = 0; k < {length}; ++k) for (n = 0; n < {count + 3}; ++n) filter->past[k][n] = now[n];"
     yield "        filter->begun = 1;"
     yield "    }"
     for number, one in enumerate(channels):
         back = latency - one.ahead + len(one.taps) // 2
         yield f"    felt[{number}] = {write.p}_sum(filter, {number}, {write.p}_taps_{number}, {len(one.taps)}, {back});"
-    yield f"    {write.p}_separate(felt, 0, out);"
+    yield f"    now = filter->past[(filter->newest - {latency} + {length}) % {length}];"
+    yield f"    {write.p}_separate(felt, 0, now[{count}], now[{count + 1}], now[{count + 2}], out);"
     yield "}"
     yield ""

@@ -15,6 +15,7 @@ PROVENANCE: Mapping[str, Any] = {}
 CHANNELS: Mapping[str, Mapping[str, Any]] = {}
 APART: Sequence[Sequence[tuple[int, float]]] = ()
 FELT: Sequence[tuple[int, int, int | None, float]] = ()
+WRITTEN: Sequence[tuple[int, Any, Mapping[str, int]]] = ()
 PASSES: int = 0
 RATE: float | None = None
 NOT_UNDONE: Sequence[str] = ()
@@ -54,7 +55,7 @@ def apply(
     seen = [[_straight(mine, value) for value in column] for mine, column in zip(numbers, seen, strict=True)]
     found = _apart(seen)
     for _ in range(PASSES):
-        found = _apart(_less(seen, found, rate))
+        found = _apart(_less_written(_less(seen, found, rate), found, conditions))
     return {name: column[0] if single else column for name, column in zip(CHANNELS, found, strict=True)}
 
 
@@ -159,6 +160,49 @@ def _less(seen: Sequence[Sequence[float]], found: Sequence[Sequence[float]], rat
         more = _rise(found[first], rate) if second is None else _product(found[first], found[second])
         left[channel] = [value - share * one for value, one in zip(left[channel], more, strict=True)]
     return left
+
+
+CONDITIONS = {"T": "temperature", "Vs": "supply", "t": "time"}
+BINARY: Mapping[str, Any] = {
+    "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b, "/": lambda a, b: a / b, "**": math.pow,
+}  # fmt: skip
+UNARY: Mapping[str, Any] = {
+    "neg": lambda a: -a, "sin": math.sin, "cos": math.cos, "tan": math.tan, "exp": math.exp, "log": math.log,
+    "sqrt": math.sqrt, "abs": abs, "sign": lambda a: float((a > 0.0) - (a < 0.0)),
+}  # fmt: skip
+
+
+def _less_written(
+    left: list[list[float]], found: Sequence[Sequence[float]], conditions: Mapping[str, Sequence[float]]
+) -> list[list[float]]:
+    """Less what is felt by formulas, where all that they need is given."""
+    given = {name: conditions[of] for name, of in CONDITIONS.items() if of in conditions}
+    for channel, expression, sources in WRITTEN:
+        signals = {**{name: found[source] for name, source in sources.items()}, **given}
+        if all(name in signals for name in _names(expression)):
+            more = [_value(expression, signals, n) for n in range(len(left[channel]))]
+            left[channel] = [value - one for value, one in zip(left[channel], more, strict=True)]
+    return left
+
+
+def _names(expression: Any) -> list[str]:
+    if isinstance(expression, tuple):
+        return [name for part in expression[1:] for name in _names(part)]
+    return [expression] if isinstance(expression, str) else []
+
+
+def _value(expression: Any, signals: Mapping[str, Sequence[float]], n: int) -> float:
+    """The value of arithmetic as nested tuples at sample n; NaN where it has none."""
+    if isinstance(expression, str):
+        return signals[expression][n]
+    if not isinstance(expression, tuple):
+        return float(expression)
+    name, *parts = expression
+    values = [_value(part, signals, n) for part in parts]
+    try:
+        return float((BINARY[name] if len(values) == 2 else UNARY[name])(*values))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return math.nan
 
 
 def _product(one: Sequence[float], other: Sequence[float]) -> list[float]:

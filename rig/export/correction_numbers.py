@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rig.correction.correction import PASSES, SI, Correction
+from rig.correction.correction import SI, Correction
 from rig.correction.dynamics import Taps
 from rig.correction.inverse import Bend, Drift, Half
 from rig.errors import BadInput
@@ -61,11 +61,6 @@ def _numbers(correction: Correction, c: int, rate: float | None) -> Numbers:
 def rows_apart(correction: Correction) -> list[list[tuple[int, float]]]:
     """A⁻¹ without its zeros: (column, share) of every row."""
     return [[(k, float(share)) for k, share in enumerate(row) if share] for row in correction.inverse]
-
-
-def passes(correction: Correction) -> int:
-    """How often what is felt of turning is taken off."""
-    return PASSES if correction.felt else 0
 
 
 def half(of: Half) -> tuple[float, float, float, float, float]:

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any
 
 from rig.correction.correction import Correction
-from rig.export.correction_numbers import Numbers, half, heading, numbers_of, passes, rows_apart, stays, stem, words_of
+from rig.export.correction_numbers import Numbers, half, heading, numbers_of, rows_apart, stays, stem, words_of
 from rig.export.python_module import BEGIN, END, literal, quoted
 
 
@@ -35,7 +35,8 @@ def _texts(correction: Correction, channels: list[Numbers], rate: float | None) 
         "CHANNELS": literal({one.name: _channel(one) for one in channels}),
         "APART": repr(rows_apart(correction)),
         "FELT": repr(felt),
-        "PASSES": repr(passes(correction)),
+        "WRITTEN": repr([(one.channel, one.expression, dict(one.sources)) for one in correction.written]),
+        "PASSES": repr(correction.passes),
         "RATE": repr(None if rate is None else float(rate)),
         "NOT_UNDONE": repr(stays(correction, rate)),
     }

@@ -23,6 +23,7 @@ from rig.correction.inverse import Quantity
 from rig.errors import BadInput
 from rig.export import write_model
 from rig.export.identifiers import identifiers
+from rig.formula import formula_effect
 from rig.model import Array
 from rig.shelf import shelf
 
@@ -58,6 +59,9 @@ def correction() -> Correction:
         for k, (name, quantity, sensitivity) in enumerate(zip(NAMES, QUANTITIES, SENSITIVITY, strict=True))
     )  # fmt: skip
     undone = tuple(Undone(name, on, shelf()[name].inverse(at)) for name, on, at in TERMS)
+    formula = "k * sin(wx * t) * sign(wy) + m * abs(T) ** 0.5 - n * y / (1 + exp(-wz * t)) + p * u ** 2"
+    own = formula_effect("own", formula, on="acceleration")
+    undone += (Undone("own", "acceleration", own.inverse({"k": 0.1, "m": 0.02, "n": 0.03, "p": 1e-3})),)
     return Correction("SIM Cube №1", channels, undone, True, ("Model of */ SIM\nCube \\", 'Fitted to "r1" """'))
 
 
@@ -230,6 +234,7 @@ effects:
 - {effect: own_bend, on: acceleration, coordinates: {size: {value: 0.01}}}
 - {effect: own_other, on: acceleration, coordinates: {size: {value: 0.01}}}
 - {effect: term, formula: k * u**2, on: acceleration, coordinates: {k: {value: 0.001}}}
+- {effect: far, formula: k * A, on: acceleration, coordinates: {k: {value: 0.001}}}
 channels:
   up: {sensitivity: {value: 0.1, unit: V/(m/s²), u: 0.001}, zero: {r: 2.5}, u_zero: {r: 0.01}, axis: z, triad: t}
   turn: {sensitivity: {value: 0.2, unit: V/(rad/s)}, zero: {r: 2.4}, axis: z, triad: t}
@@ -269,12 +274,13 @@ def test_the_command_writes_a_model_and_says_what_stays(model: Path) -> None:
     said = json.loads(exported(*words, "--to", "python", "--json"))
     assert said["files"] == [str(model.parent / "out" / "u_1_correction.py")]
     assert "own_other: not undone, its file does not say how" in said["not_undone"]
-    assert any(one.startswith("term: not undone, ") for one in said["not_undone"])
+    assert "far: not undone, a robot does not know A, which only the bench has" in said["not_undone"]
     assert not any(one.startswith("own_bend") for one in said["not_undone"])
     module: dict[str, Any] = {}
     exec(compile(Path(said["files"][0]).read_text("utf-8"), "u_1_correction.py", "exec"), module)
     u = 3.0
-    shown = 2.5 + 0.1 * 1.01 * (u + 2e-4 * u**3)
+    felt = u + 1e-3 * u**2
+    shown = 2.5 + 0.1 * 1.01 * (felt + 2e-4 * felt**3)
     assert module["apply"]({"up": shown, "turn": 2.8})["up"] == pytest.approx(u, rel=1e-12)
     some = exported(*words, "--to", "c", "--channel", "up", "--single")
     assert "c: " in some

@@ -15,6 +15,7 @@ from rig.correction.correction import Channel, Correction, Undone, counts_to_vol
 from rig.correction.dynamics import taps
 from rig.correction.inverse import Bend
 from rig.errors import BadInput
+from rig.formula import formula_effect
 from rig.model import Array, Channels, Local, Motion, Quantity, Stretches, Term, volts
 from rig.shelf import shelf
 
@@ -142,6 +143,17 @@ def test_all_of_them_together_are_undone_in_the_order_of_the_chain(data: st.Data
     moved = motion(data.draw(st.integers(0, 10**6)))
     found = correction(terms).apply(shown(moved, terms), **conditions(moved))
     assert_same(found.array, truth(moved), 1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-5e-3, 5e-3), st.floats(-0.05, 0.05))
+def test_a_term_by_formula_is_taken_off_in_rounds(seed: int, bend: float, share: float) -> None:
+    effect = formula_effect("own", "k * u**2 + n * y * exp(-t / c) + m * T", on="acceleration", starts={"c": (1.0,)})
+    one, moved = Term(effect, "acceleration", {"k": bend, "n": share, "c": 5.0, "m": share}), motion(seed)
+    whole = correction([one, term("cross_axis", "acceleration", share=0.1)])
+    seen = shown(moved, [one, term("cross_axis", "acceleration", share=0.1)])
+    assert_same(whole.apply(seen, **conditions(moved)).array, truth(moved), 1e-9)
+    assert "temperature: not given, what follows it by a formula is not undone" in whole.apply(seen).said
 
 
 def test_crosstalk_is_undone_with_the_record_s_own_rise() -> None:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rig import units
 from rig.bench.steps import BenchFacts, Limits
-from rig.errors import StandardOverdue
+from rig.errors import ConfigError, StandardOverdue
 from rig.sensor import Sensor
 from rig.units import Acceleration, Angle, Frequency, Length, PeakVoltage, Ratio, Velocity, Voltage
 from rig.yaml import config
@@ -270,7 +270,20 @@ def describe(path: Path) -> BenchDescription:
     file = config.load(path, BenchFile)
     near = path.parent
     standards = tuple(config.load(near / name, Standard) for name in file.standards)
-    return BenchDescription(path, file, standards, config.load(near / file.sensors, SensorFile))
+    sensor = config.load(near / file.sensors, SensorFile)
+    _refuse_unwired(path, file, sensor)
+    return BenchDescription(path, file, standards, sensor)
+
+
+def _refuse_unwired(path: Path, file: BenchFile, sensor: SensorFile) -> None:
+    """A sensor of which no cable carries a channel gives records that nothing can be made of. Raises ConfigError."""
+    wired = {name for cables in file.cables.values() for name in cables}
+    if not wired & sensor.channels.keys():
+        text = (
+            f"found none of the channels of {file.sensors} ({', '.join(sensor.channels)}), "
+            "wanted at least one of them, by the name that it has there"
+        )
+        raise ConfigError([config.read(path).problem(("cables",), text)])
 
 
 def filled(value: Any, addresses: Mapping[str, object]) -> Any:

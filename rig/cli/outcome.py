@@ -34,7 +34,7 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     made, why = concluded(records)
     figure = draw(records, made, order.runs / "reports" / run.name)
     rows = [] if made is None else key_results(made, records)
-    missed = [] if made is None else list(_unmet(order.plan, made))
+    missed = list(unmet(order.plan, made))
     if as_json:
         print_json(
             {
@@ -142,11 +142,13 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
     return [completed(line) for line in (*lines, *(f"  note: {flag}" for flag in made.flags))]
 
 
-def _unmet(plan: Plan, made: Calibration) -> Iterator[str]:
-    """Every expected sensitivity, named by its result, that was found outside its limits."""
+def unmet(plan: Plan, made: Calibration | None) -> Iterator[str]:
+    """Every expected sensitivity, named by its result, that was not determined or found outside its limits."""
     for key, (low, high) in plan.expect.items():
-        found = made.find(key)
-        if found is not None and found.value is not None and not low <= found.value <= high:
+        found = None if made is None else made.find(key)
+        if found is None or found.value is None:
+            yield f"expect {key}: found none in this run, wanted a sweep that determines it"
+        elif not low <= found.value <= high:
             yield (
                 f"expect sensitivity of {found.channel}: found {found.value * 9.80665e3:.2f} mV/g, "
                 f"wanted {low * 9.80665e3:.2f} to {high * 9.80665e3:.2f} mV/g"

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.archive.records import Recorded
+from rig.errors import BadInput
 from rig.model import Channels
 from rig.sensor import Sensor
 
@@ -18,6 +19,11 @@ def channels_of(records: Recorded, cables: Sequence[str], relative_to: str = "")
     """The sensors among the cables; slots count from that of the reference `relative_to` if it is named."""
     sensor = Sensor.of(records.header)
     found = [sensor.channel(name) for name in cables if name in sensor]
+    if not found:
+        raise BadInput(
+            f"{records.name}: found none of the sensor's channels ({', '.join(sensor.names)}) among what was recorded "
+            f"({', '.join(cables)}), wanted a sensor file and cables that use the same names"
+        )
     units = [sensor.triad(one.triad) for one in found]
     origin = cables.index(relative_to) if relative_to else 0
     return Channels(

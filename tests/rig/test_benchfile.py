@@ -195,3 +195,16 @@ def test_addresses_are_filled_in_however_deep_and_other_text_is_left_alone() -> 
         "n": 3,
     }
     assert filled("${unknown}", addresses) == "${unknown}"
+
+
+def test_a_sensor_of_which_no_channel_is_wired_is_refused_before_anything_moves(changed: Change) -> None:
+    pairs = [(f"  {name}", f"  my_{name}") for name in describe(SHIPPED).sensor.channels]
+    problems = said(changed(*pairs, file="sensors/simulated_cube.yaml"))
+    assert len(problems) == 1
+    assert "cables: found none of the channels of ../sensors/simulated_cube.yaml (my_unit_a_x, " in problems[0]
+
+
+def test_a_sensor_with_one_channel_on_the_cables_is_a_sensor(changed: Change) -> None:
+    names = list(describe(SHIPPED).sensor.channels)
+    pairs = [(f"  {name}", f"  my_{name}") for name in names[1:]]
+    assert "unit_a_x" in describe(changed(*pairs, file="sensors/simulated_cube.yaml")).sensor.channels

@@ -179,6 +179,8 @@ def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
 def _from(sight: _Sight, term: Term) -> Score:
     """Linear estimate from one start."""
     columns, moved = sight.columns(term)
+    if not (np.isfinite(columns).all() and np.isfinite(moved).all()):
+        return Score(term, term, 0.0, 0.0, 1)  # it has no value for this motion
     left, pull = sight.left - moved, sight.found.downhill - sight.cross(moved)
     inside, own = sight.cross(columns), columns.T @ columns
     outside = own - inside.T @ sight.inverse @ inside
@@ -237,6 +239,8 @@ def _quickly(sight: _Sight, score: Score) -> Candidate:
     state = replace(found.state, terms=(*found.state.terms, score.term))
     order = fitting.layout(found.parts, state)
     state, left = _readjusted(sight, state, order, size)
+    if not np.isfinite(left).all():  # the linear estimate is beyond where the effect has values
+        return _afresh(found, score)
     objective = float(left @ left) + fitting.penalty(found.parts, state)
     normal = found.normal
     for _ in range(ROUNDS):

@@ -312,6 +312,7 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
     raws = predicted(parts, state)
     white = [p.whitened(raw) for p, raw in zip(parts, raws, strict=True)]
     left = _left(parts, state, white, use)
+    _refuse_no_numbers(parts, left)
     blocks: list[Block] = []
     first = 0
     for number, part in enumerate(parts):
@@ -329,6 +330,19 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
         tuple(parts), state, order, left, tuple(blocks), normal, downhill, float(left @ left),
         float(values**2 @ weights), use,
     )  # fmt: skip
+
+
+def _refuse_no_numbers(parts: Sequence[Part], left: Array) -> None:
+    """No method finds parameters of rows that are infinite or no numbers. Raises BadInput with the part's name."""
+    first = 0
+    for part in parts:
+        wrong = int(np.count_nonzero(~np.isfinite(left[first : first + part.rows])))
+        if wrong:
+            raise BadInput(
+                f"{part.name}: found {wrong} of {part.rows} rows that a model cannot be compared with (infinite, or no "
+                "numbers), wanted finite values and an uncertainty above nought in every row"
+            )
+        first += part.rows
 
 
 def blocks_of(

@@ -264,7 +264,7 @@ NEEDED: dict[str, tuple[tuple[Role, str], ...]] = {
     "response": (("reference", "frequency"),),
     "sweep": (),
     "rotation": (),
-    "motion": (("reference", "quaternion"), ("reference", "position")),
+    "motion": (),
     "poses": (),
     "static": (),
 }
@@ -341,6 +341,8 @@ def _of_kind(document: Document, made: Manifest) -> Iterator[Problem]:
             yield document.problem(("columns",), "found no reference of angle, wanted one, or an encoder's line_a")
         elif "angle" not in quantities and made.rotation is not None and made.rotation.lines is None:
             yield document.problem(("rotation", "lines"), "found nothing, wanted the encoder's lines per revolution")
+    if made.kind == "motion":
+        yield from _of_motion(document, made)
     if made.kind == "sweep" and not made.of("reference"):
         yield document.problem(("columns",), "found no reference, wanted a column with role: reference")
     if made.kind not in ("response",) and made.time is None:
@@ -412,6 +414,19 @@ def _together(document: Document, made: Manifest) -> Iterator[Problem]:
                 if getattr(one, key) != getattr(there[0][1], key):
                     said = f"found another {key} than that of {there[0][1].channel}, wanted one for the whole reference"
                     yield document.problem(("columns", number), said)
+
+
+def _of_motion(document: Document, made: Manifest) -> Iterator[Problem]:
+    """A track needs every component of position and attitude, and how the attitude is to be read."""
+    if made.pose is None:
+        yield document.problem((), "found no key 'pose', wanted it to say how the quaternion turns and which way is up")
+    for quantity, names in (("quaternion", "wxyz"), ("position", "xyz")):
+        columns = made.of("reference", quantity)
+        there = [one.component if quantity == "quaternion" else one.axis for one in columns]
+        lacking = [name for name in names if name not in there]
+        if lacking:
+            text = f"found no reference column of {quantity} {', '.join(lacking)}, wanted {', '.join(names)}"
+            yield document.problem(("columns",), text)
 
 
 def as_json(made: Manifest) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.errors import BadInput
 from rig.model import Channels, Effect, Local, Term, at_work, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts.part import Cut, Mask, Tabled
@@ -103,6 +104,12 @@ class Following(Tabled):
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.row_names, self.row_rates = data.channels.names, data.channels.rates
         self.grid = Stretches(data.interval, data.records)
+        if not data.stretches or any(end <= begin for begin, end in data.stretches):
+            seconds = data.interval * len(data.time)
+            raise BadInput(
+                f"{data.name}: found {len(data.time)} usable instants in {seconds:.3g} s, too few for a spectrum, "
+                "wanted a longer record, or the unit of its time stamps put right"
+            )
         self.width = sum(len(f) for f in self._frequencies)
         self.extra = np.zeros((self.rows, 0))
         self._moved: dict[tuple[object, ...], Motion] = {}
@@ -202,7 +209,11 @@ class Following(Tabled):
         """
         f = self.frequency_of
         here = (f <= self.data.bands[0 if of_rate else 1]) & (f > 0.0)
-        columns = self._filters(of_rate)[:, here].T
+        filters = self._filters(of_rate)
+        if not len(filters) or not here.any():
+            what = "no line within the compared band" if len(filters) else "no motion"
+            raise BadInput(f"{self.name}: found {what}, wanted a case that moves, in a record that is long enough")
+        columns = filters[:, here].T
         density = np.ones(int(here.sum()))
         for _ in range(ROUNDS):
             weight = 1.0 / np.sqrt(density)

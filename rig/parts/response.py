@@ -68,6 +68,13 @@ def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> Respon
     along = excitation[0] if excitation else np.ones(len(frequency))
     if not np.isfinite(frequency * np.abs(ratio) * along).all():
         raise BadInput(f"{foreign.run} {table.label}: found rows that are no numbers, wanted a response in every row")
+    for what, values in (("frequency", frequency), ("excitation", along), ("magnitude", np.abs(ratio))):
+        if not (values > 0.0).all():
+            row = int(np.argmin(values > 0.0))
+            where = f"{foreign.run} {table.label}, row {row + 1}, {what}"
+            raise BadInput(f"{where}: found {values[row]:g}, wanted more than nought")
+    if not np.isfinite(u_magnitude + u_phase).all():
+        raise BadInput(f"{foreign.run} {table.label}: found uncertainties that are no numbers, wanted one in every row")
     order = np.argsort(frequency, kind="stable")
     place = _places(frequency[order])
     repeat = np.concatenate([np.arange(n) for n in np.bincount(place)])

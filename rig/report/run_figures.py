@@ -100,10 +100,6 @@ def svg_of_response(made: Calibration) -> dict[str, bytes]:
     return {"response": file.getvalue()}
 
 
-def _colour(channel: str) -> str:
-    return COLOURS.get(channel[:6], OTHER)
-
-
 def _plain_ticks(ax: Any) -> None:
     """Frequencies as a person writes them."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter

@@ -13,7 +13,7 @@ from rig.diagnose import search
 from rig.fit import fit as fitting
 from rig.fit.evidence import evidence_of
 from rig.fit.fit import Fit
-from rig.model import Term
+from rig.model import Channels, Coordinate, Effect, Motion, Parameter, Term, Values
 from rig.motion import Array
 from rig.parts.turning import Turning
 from rig.shelf import shelf
@@ -74,3 +74,25 @@ def promised(found: Fit, term: Term) -> float:
     outside = columns.T @ columns - inside.T @ inverse @ inside
     target = columns.T @ found.left - inside.T @ inverse @ found.downhill
     return float(target @ np.linalg.solve(outside, target))
+
+
+class Endless(Effect):
+    """A term that has no value in any motion."""
+
+    name = "endless"
+    stage = "transducer"
+    quantities = ("rate",)
+    coordinates = (Coordinate("size", 1.0),)
+    parameters = (Parameter("size", "1", (-1.0, 1.0), (0.1, 1.0)),)
+
+    def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
+        return np.full_like(felt, at["size"] * np.inf)
+
+
+def test_a_term_without_a_value_in_these_records_gains_nothing_and_spoils_no_other(found: Fit) -> None:
+    cubic = Term(shelf()["cubic"], "rate", {"coefficient": 0.0})
+    with np.errstate(invalid="ignore"):
+        made = search.scores(found, [Term(Endless(), "rate", {"size": 0.0}), cubic])
+    assert {one.term.effect.name: one.gain for one in made}["endless"] == 0.0
+    assert made[0].term.effect.name == "cubic"
+    assert np.isfinite(made[0].gain)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
+import numpy as np
+
 from rig.errors import BadInput
 from rig.foreign.tables import Foreign
 from rig.model import Term
@@ -27,6 +29,7 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
 
     Raises BadInput for data of a kind that no model can be compared with.
     """
+    _refuse_standing_clocks(foreign)
     parts, known = _read(foreign)
     return parts, [*known, *gains_of(foreign, [part.name for part in parts])]
 
@@ -66,3 +69,13 @@ def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
 def _beside(foreign: Foreign, data: D) -> D:
     """Records whose channels' tolerances say nothing of a reference that is not well known itself."""
     return replace(data, channels=channels_beside(foreign, data.channels))
+
+
+def _refuse_standing_clocks(foreign: Foreign) -> None:
+    """Time has to pass in a record. Raises BadInput."""
+    for table in foreign.tables if foreign.manifest.time is not None else ():
+        stamps = foreign.time(table)
+        known = stamps[np.isfinite(stamps)]
+        if len(known) < 2 or not known[-1] > known[0]:
+            where = f"{foreign.run} {table.label}".strip()
+            raise BadInput(f"{where}, time: found stamps that do not go forward, wanted each later than the one before")

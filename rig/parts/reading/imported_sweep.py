@@ -104,6 +104,9 @@ def _record(foreign: Foreign, table: Table, columns: Sequence[Column], before: _
     t = stamps - stamps[0]
     begin = _begin(float(stamps[0]), before)
     nominal = _nominal(where, table)
+    for one, column in zip(columns, values.T, strict=True):
+        if nominal and not np.ptp(column) > 0.0:
+            raise BadInput(f"{where}, {one.channel}: found nothing but {column[0]:g}, wanted a sine of {nominal:g} Hz")
     frequency = _found(foreign, table, where, t, values, nominal)
     delay = np.array([one.delay for one in columns])
     lines = _taken_apart(t, values, 1.0 / interval, begin, frequency, foreign.manifest.mains)
@@ -160,6 +163,8 @@ def _found(foreign: Foreign, table: Table, where: str, t: Array, values: Array, 
     spectrum = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(t)), padded))
     f = np.fft.rfftfreq(padded, 1.0 / rate)
     near = np.flatnonzero((f > SEARCHED[0] * nominal) & (f < SEARCHED[1] * nominal))
+    if not len(near):
+        raise BadInput(f"{where}: found {nominal:g} Hz at {rate:g} samples per second, wanted less than half of that")
     peak = int(near[np.argmax(spectrum[near])])
     if spectrum[peak] < PEAK * np.median(spectrum[near]):
         raise BadInput(f"{where}: found no line near {nominal:g} Hz, wanted the commanded one, or level: rest")

@@ -31,6 +31,7 @@ LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left
 EDGE = 8  # instants at either end of a record that are not compared
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
 AXES = "xyz"
+SPLINE = 4  # rows that a spline of third degree needs
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class _Piece:
 def rotations(foreign: Foreign) -> FollowRecords:
     """Every file of a run of kind "rotation" together. Raises BadInput where nothing can be compared."""
     made = foreign.manifest.rotation
-    assert made is not None
+    if made is None:
+        raise BadInput(f"{foreign.run}: found no rotation in its manifest, wanted it to say the axis")
     pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
     data = _joined(foreign, pieces, made)
     return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
@@ -98,11 +100,17 @@ def _counted(foreign: Foreign, table: Table) -> AngleTrack:
 
 def _posed(foreign: Foreign, table: Table) -> PoseTrack:
     made = foreign.manifest
-    assert made.pose is not None
+    if made.pose is None:
+        raise BadInput(f"{foreign.run}: found no pose in its manifest, wanted it to say how the quaternion turns")
     position: dict[str | None, Array] = {one.axis: foreign.si(table, one) for one in made.of("reference", "position")}
     quaternion: dict[str | None, Array] = {
         one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
     }
+    lacking = [f"position {a}" for a in AXES if a not in position] + [
+        f"quaternion {c}" for c in "wxyz" if c not in quaternion
+    ]
+    if lacking:
+        raise BadInput(f"{foreign.run}: found no reference column of {', '.join(lacking)}, wanted all components")
     delay = made.of("reference", "position")[0].delay  # the same for all that the cameras say
     return pose_track(
         foreign.time(table) + delay, np.stack([position[a] for a in AXES], axis=1),
@@ -123,6 +131,9 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
         known = np.isfinite(stamps) & np.isfinite(values)
         later = np.flatnonzero(known)
         later = later[np.diff(np.maximum.accumulate(stamps[later]), prepend=-math.inf) > 0.0]
+        if len(later) < SPLINE:
+            where = f"{foreign.run} {table.label}, {column.channel}"
+            raise BadInput(f"{where}: found {len(later)} rows with a number and a later stamp, wanted a record")
         spline = CubicSpline(stamps[later], values[later])
         found.append(spline(track.time))
         near = np.searchsorted(stamps[later], track.time).clip(1, len(later) - 1)
@@ -346,7 +357,8 @@ def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
     """Sign of the gyro along the axis against the reference, and a sentence if they are against each other."""
     for row, name in enumerate(data.channels.names):
         if data.channels.rates[row] and data.channels.axis[row] == axis:
-            r = float(np.corrcoef(data.observed[row], rate)[0, 1])
+            with np.errstate(invalid="ignore"):  # what stands still goes neither with the reference nor against it
+                r = float(np.corrcoef(data.observed[row], rate)[0, 1])
             if r < -SURE:
                 return -1, (
                     f"sign: {name} counts against the encoder's angle (correlation {r:.3f}); which of them is right "

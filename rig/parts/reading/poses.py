@@ -212,7 +212,8 @@ def _means(
     seconds = np.array([(one.last - one.first) / rate for one in intervals])
     rest = [here for one, here in zip(intervals, rows, strict=True) if not one.turns]
     variance = np.zeros_like(observed)
-    for here in (channels.of("acceleration"), channels.of("rate")):
+    _refuse_dead(foreign, table, channels, [numbers[:, part] for part in rest])
+    for here in (one for one in (channels.of("acceleration"), channels.of("rate")) if len(one)):
         models = noises_at_rest([[numbers[c][part] for part in rest] for c in here], rate)
         for c, model in zip(here, models, strict=True):
             variance[c] = _variance(model, begin, seconds)
@@ -232,6 +233,15 @@ def _means(
         up=np.stack([signed(one.up) for one in intervals], axis=1),
         notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
     )  # fmt: skip
+
+
+def _refuse_dead(foreign: Foreign, table: Table, channels: Channels, parts: Sequence[Array]) -> None:
+    """A channel that shows one and the same number throughout has no noise to weigh it with. Raises BadInput."""
+    for c, name in enumerate(channels.names):
+        seen = np.concatenate([part[c][np.isfinite(part[c])] for part in parts])
+        if not len(seen) or not np.ptp(seen) > 0.0:
+            what = "no number at rest" if not len(seen) else f"nothing but {seen[0]:g} at rest"
+            raise BadInput(f"{foreign.run} {table.label}, {name}: found {what}, wanted a sensor's readings")
 
 
 def _mean(values: Array) -> float:

@@ -11,9 +11,12 @@ import numpy as np
 from rig.errors import BadInput
 from rig.foreign.manifest import SI_OF, Column
 from rig.foreign.tables import Foreign, Table
+from rig.motion import Array
 from rig.parts.reading.poses import step_of
 from rig.signals import noise
 from rig.signals.noise import Coefficient
+
+FEWEST = 16  # rows, below which there is no noise to speak of
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,19 @@ def _channel(foreign: Foreign, table: Table, column: Column) -> AtRest:
     values, time = foreign.si(table, column), foreign.time(table)
     if not np.isfinite(values).all():
         raise BadInput(f"{table.label}, {column.channel}: found rows without a number, wanted a whole record at rest")
-    rate = 1.0 / float(np.median(np.diff(time)))
+    if len(values) < FEWEST:
+        raise BadInput(f"{table.label}, {column.channel}: found {len(values)} rows, wanted some hundred")
+    rate = 1.0 / _interval(f"{table.label}, time", time)
     fitted = noise.fit(values, rate, step=step_of(values), pole=None)
     unit = SI_OF.get(column.quantity, "")
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    if not math.isfinite(deviation):
-        raise BadInput(f"{table.label}, {column.channel}: found {len(values)} rows, wanted some hundred")
     return AtRest(table.label, column.channel, unit, mean, deviation, dict(noise.coefficients(fitted)))
+
+
+def _interval(where: str, time: Array) -> float:
+    """Usual time between two rows, s; the mean if rows come in batches that share one stamp."""
+    usual = float(np.median(np.diff(time)))
+    whole = float(time[-1] - time[0]) / (len(time) - 1)
+    if not (math.isfinite(whole) and whole > 0.0 and usual >= 0.0):
+        raise BadInput(f"{where}: found stamps that do not go forward, wanted each later than the one before")
+    return usual if usual > 0.0 else whole

@@ -47,7 +47,7 @@ def shared_lines(angle: Array, gyro: Array, interval: float, above: float) -> li
 
     rate, gyro = np.diff(angle) / interval, 0.5 * (gyro[1:] + gyro[:-1])
     count = round(SECONDS / interval)
-    if len(rate) < 4 * count:
+    if count < 2 * WIDE or len(rate) < 4 * count:  # no spectrum, or one that is a single line
         return []
     f, reference = welch(rate, 1.0 / interval, nperseg=count)
     own = welch(gyro, 1.0 / interval, nperseg=count)[1]

@@ -46,6 +46,7 @@ SIGNALS: Mapping[str, tuple[Quantity, int]] = {
     "x": ("acceleration", 0), "y": ("acceleration", 1), "z": ("acceleration", 2),
     "wx": ("rate", 0), "wy": ("rate", 1), "wz": ("rate", 2),
 }  # fmt: skip
+UNSETTLED = 1e-3  # of a value and in SI: what still moves by more in the last round has no answer
 CONDITIONS: Mapping[str, Condition] = {"T": "temperature", "Vs": "supply", "t": "time"}
 CONVERTER = (-10.0, 10.0)  # V, range of the rig's own converter
 CODES = 65535.0
@@ -189,9 +190,12 @@ class Correction:
             for bend in reversed(self.bends(c)):
                 seen[c] = bend.straight(seen[c])
         found = self._apart(seen)
+        before = found
         for _ in range(self.passes):
-            found = self._apart(seen - self._turning(found, rate) - self._more(found, conditions))
-        return found
+            before, found = found, self._apart(seen - self._turning(found, rate) - self._more(found, conditions))
+        if not self.written:
+            return found
+        return np.where(np.abs(found - before) <= UNSETTLED * (1.0 + np.abs(found)), found, math.nan)
 
     @property
     def passes(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from rig.correction.correction import CONDITIONS, Correction, Written
+from rig.correction.correction import CONDITIONS, UNSETTLED, Correction, Written
 from rig.correction.expression import in_c
 from rig.correction.inverse import Drift
 from rig.export.correction_numbers import (
@@ -186,7 +186,7 @@ def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers
     yield f"static inline void {write.p}_separate(const {r} felt[{count}], const {r} rise[{count}], {r} temperature,"
     yield f"                                      {r} supply, {r} time, {r} out[{count}])"
     yield "{"
-    yield f"    {r} seen[{count}], left[{count}];"
+    yield f"    {r} seen[{count}], left[{count}]{f', before[{count}]' if correction.written else ''};"
     yield f"    int n, pass = {correction.passes};"
     yield "    (void)rise; (void)temperature; (void)supply; (void)time;"
     yield f"    for (n = 0; n < {count}; ++n) seen[n] = felt[n];"
@@ -202,7 +202,12 @@ def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers
     for number, row in enumerate(rows_apart(correction)):
         terms = " + ".join(f"{write.number(share)} * left[{k}]" for k, share in row)
         yield f"        out[{number}] = {terms};"
+    if correction.written:
+        yield f"        if (pass <= 0) for (n = 0; n < {count}; ++n) if (!(fabs(out[n] - before[n])"
+        yield f"            <= {UNSETTLED!r} * (1.0 + fabs(out[n])))) out[n] = NAN;"
     yield "        if (pass-- <= 0) break;"
+    if correction.written:
+        yield f"        for (n = 0; n < {count}; ++n) before[n] = out[n];"
     yield f"        for (n = 0; n < {count}; ++n) left[n] = seen[n];"
     for felt in correction.felt:
         share, into = write.number(felt.share), f"left[{felt.channel}]"

@@ -22,6 +22,7 @@ NOT_UNDONE: Sequence[str] = ()
 # numbers: end
 
 EPSILON = 2.0**-52
+UNSETTLED = 1e-3
 MOST = 80  # steps of an iteration: halving alone would do in these
 
 
@@ -54,8 +55,11 @@ def apply(
         seen = [_early(mine, column) for mine, column in zip(numbers, seen, strict=True)]
     seen = [[_straight(mine, value) for value in column] for mine, column in zip(numbers, seen, strict=True)]
     found = _apart(seen)
+    before = found
     for _ in range(PASSES):
-        found = _apart(_less_written(_less(seen, found, rate), found, conditions))
+        before, found = found, _apart(_less_written(_less(seen, found, rate), found, conditions))
+    if WRITTEN:
+        found = [[_settled(*pair) for pair in zip(*pairs, strict=True)] for pairs in zip(found, before, strict=True)]
     return {name: column[0] if single else column for name, column in zip(CHANNELS, found, strict=True)}
 
 
@@ -160,6 +164,11 @@ def _less(seen: Sequence[Sequence[float]], found: Sequence[Sequence[float]], rat
         more = _rise(found[first], rate) if second is None else _product(found[first], found[second])
         left[channel] = [value - share * one for value, one in zip(left[channel], more, strict=True)]
     return left
+
+
+def _settled(value: float, before: float) -> float:
+    """NaN for what the last round still moved."""
+    return value if abs(value - before) <= UNSETTLED * (1.0 + abs(value)) else math.nan
 
 
 CONDITIONS = {"T": "temperature", "Vs": "supply", "t": "time"}

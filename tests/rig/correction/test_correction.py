@@ -156,6 +156,14 @@ def test_a_term_by_formula_is_taken_off_in_rounds(seed: int, bend: float, share:
     assert "temperature: not given, what follows it by a formula is not undone" in whole.apply(seen).said
 
 
+def test_a_term_that_is_not_small_beside_the_input_gives_no_number_instead_of_a_wrong_one() -> None:
+    effect = formula_effect("own", "k * u**2", on="acceleration")
+    whole = correction([Term(effect, "acceleration", {"k": 0.2})])
+    found = whole.apply(ZERO + 8.0 * SENSITIVITY)
+    assert np.isnan(found.array[:3]).all()
+    assert_same(found.array[3:], np.full(3, 8.0), 1e-12)
+
+
 def test_crosstalk_is_undone_with_the_record_s_own_rise() -> None:
     one, moved = term("crosstalk", "acceleration", time_constant=2e-5), slow_motion(20.0)
     still = slice(5, -5)

@@ -20,7 +20,6 @@ from rig.fit.evidence import Evidence
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, Table
 from rig.model import Term
-from rig.parts.part import Tabled
 from rig.parts.reading.imported import parts_of
 
 Array = NDArray[np.float64]
@@ -49,10 +48,9 @@ def evidence(*foreign: Foreign) -> Evidence:
     made = [parts_of(one) for one in foreign]
     parts = tuple(part for parts, _ in made for part in parts)
     known: tuple[Term, ...] = tuple(term for _, terms in made for term in terms)
-    tabled = [part for part in parts if isinstance(part, Tabled)]
     return Evidence(
         parts, known, tuple(one.run for one in foreign), "made", False,
-        tuple(note for part in tabled for note in part.notes), tuple(said for part in tabled for said in part.blind),
+        tuple(note for part in parts for note in part.notes), tuple(said for part in parts for said in part.blind),
     )  # fmt: skip
 
 

@@ -35,8 +35,9 @@ def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
     Take the runs with: rig run remounts.yaml. The floor is written to floor.yaml under the runs folder.
     """
     from rig.fit.evidence import evidence_of
-    from rig.fit.floor import floor_of, path_of, said, save
+    from rig.fit.floor import floor_of, path_of, save
     from rig.notebook import records_of
+    from rig.parts.ripple import said
 
     found = floor_of(evidence_of(records_of(names, runs)))
     path = path_of(runs)

@@ -11,10 +11,9 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.diagnose import search
 from rig.diagnose.search import Candidate, Score
@@ -25,9 +24,9 @@ from rig.fit.fit import Fit, State
 from rig.formula import formula_effect, meets, parse, term_of
 from rig.model import Quantity, Term
 from rig.motion import Array
+from rig.parts.formulas import ANYWHERE
 from rig.parts.part import Part
-from rig.parts.sines import Sines
-from rig.parts.turning import Turning
+from rig.parts.remainder import Growth, Prediction
 
 Parity = Literal["even", "odd", "both", "unseen"]
 CHANCE = 25.0  # χ² that the best of the library gains by chance
@@ -42,21 +41,6 @@ SLACK = 0.05  # relative: no power law is exact
 FLAT = 0.1  # exponent of what does not depend on something
 PURE = 0.85  # share of the squares that makes a parity
 TIMES = (20.0, 60.0, 200.0, 600.0)  # s
-PER_TURN = (*range(1, 17), 18, 20, 24)
-NEAR = 0.1  # relative difference of two rates that are compared
-
-_ANYWHERE = (
-    "u**2", "u**3", "u**4", "u**5", "u*abs(u)", "abs(u)", "sign(u)*sqrt(abs(u))", "T", "T*u", "Vs", "Vs*u",
-    "t", "t*u", "exp(-t/{tau})", "u*exp(-t/{tau})",
-)  # fmt: skip
-_SHAKER = (
-    "log(f)*u", "f*u", "f**2*u", "u/f", "A", "A*u", "A**2", "f*A", "V", "V**2", "V*abs(V)", "V*f", "V/f",
-    "x", "y", "z", "x**2", "y**2", "z**2",
-)  # fmt: skip
-_TURNTABLE = (
-    "omega", "abs(omega)", "omega**2", "omega**3", "omega*abs(omega)", "sqrt(abs(omega))",
-    "sign(omega)*sqrt(abs(omega))", "alpha", "x", "y", "z",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -144,18 +128,9 @@ def _explained(fit: Fit, found: Candidate | None) -> float:
     return 1.0 - adequacy.excess(found.fit) / before if found and before > 0.0 else 0.0
 
 
-def library(places: frozenset[str]) -> list[str]:
-    """Shapes that are tried at these places, without their coefficient."""
-    found = list(_ANYWHERE)
-    if "shaker" in places:
-        found += _SHAKER
-    if "turntable" in places:
-        turned = (f"{factor}{wave}({order}*theta)" for order in PER_TURN for factor, wave in _WAVES)
-        found += [*_TURNTABLE, *turned]
-    return list(dict.fromkeys(found))
-
-
-_WAVES = tuple(itertools.product(("", "omega*"), ("sin", "cos")))
+def library(parts: Sequence[Part]) -> list[str]:
+    """Shapes that are tried with these parts, without their coefficient."""
+    return list(dict.fromkeys([*ANYWHERE, *(shape for part in parts for shape in part.formulas)]))
 
 
 def _text(shapes: Sequence[str]) -> str:
@@ -180,10 +155,9 @@ def _channels_alone(evidence: Evidence, standing: Sequence[Group]) -> tuple[str,
 
 
 def _singles(evidence: Evidence, fit: Fit, only: tuple[str, ...] = ()) -> Iterator[_Tried]:
-    places = frozenset(part.place for part in evidence.parts)
     rates = {bool(r) for part in evidence.parts for r in part.channels.rates}
     for on in _quantities(rates):
-        shapes = [(shape,) for shape in library(places)]
+        shapes = [(shape,) for shape in library(evidence.parts)]
         yield from _scored(fit, shapes, on, only)
 
 
@@ -258,67 +232,36 @@ def _bared(fit: Fit, found: Candidate | None) -> State:
     return replace(state, terms=tuple(term for term in state.terms if term.effect is not found.term.effect))
 
 
-def _left(part: Sines | Turning, number: int, state: State, row: int) -> NDArray[np.inexact]:
-    """What a channel shows beyond the model, in SI units: lines (p, LINES) or windows (n,)."""
-    raw = part.raw(state.local(cast(Part, part), number), state.terms)
-    return np.asarray((part.data.observed[row] - raw[row]) / part.channels.sensitivity[row])
-
-
-def _where(fit: Fit, group: Group) -> tuple[int, Sines | Turning, int]:
-    number = next(n for n, part in enumerate(fit.parts) if part.name == group.part)
-    part = fit.parts[number]
-    assert isinstance(part, (Sines, Turning))
-    return number, part, part.channels.names.index(group.channel)
+def _seen(
+    fit: Fit, found: Candidate | None, standing: Sequence[Group]
+) -> Iterator[tuple[Part, Group, int, Prediction]]:
+    """Groups of rows that stand out, each with its part, its row there, and what the model says beside the formula."""
+    state, numbers = _bared(fit, found), {part.name: n for n, part in enumerate(fit.parts)}
+    said = {name: fit.said_of(number, state) for name, number in numbers.items()}
+    for group in standing:
+        part = fit.parts[numbers[group.part]]
+        yield part, group, part.row_names.index(group.channel), said[group.part]
 
 
 def _exponents(fit: Fit, found: Candidate | None, standing: Sequence[Group]) -> dict[str, float]:
-    """Powers of frequency and level in the clearest line, of the rate in the clearest channel's means."""
-    state = _bared(fit, found)
-    result: dict[str, float] = {}
-    lines = [one for one in standing if one.place == "shaker" and one.domain.endswith("f")]
-    means = [one for one in standing if one.place == "turntable" and one.domain == "mean, moving"]
-    if lines:
-        result |= _of_line(*_where(fit, lines[0]), state, int(lines[0].domain[:-1]))
-    if means:
-        result |= _of_rate(*_where(fit, means[0]), state)
-    return result
+    """Powers in the clearest rows of each experiment that are a power of something."""
+    grown: dict[str, Growth] = {}
+    for part, group, row, said in _seen(fit, found, standing):
+        if part.experiment not in grown and (one := part.growth(group.domain, row, said)) is not None:
+            grown[part.experiment] = one
+    order = [one for one in dict.fromkeys(part.experiment for part in fit.parts) if one in grown]
+    powers = [_powers(grown[one]) for one in order]
+    return {name: value for one in powers for name, value in one.items()}
 
 
-def _of_line(number: int, part: Sines | Turning, row: int, state: State, order: int) -> dict[str, float]:
-    assert isinstance(part, Sines)
-    data = part.data
-    f = order * data.frequency
-    pole = state.local(cast(Part, part), number).pole[row]
-    size = np.abs(_left(part, number, state, row)[:, order] * (1.0 + 1j * f / pole))  # before the output filter
-    sigma = np.sqrt(data.variance[row, :, order] * (1.0 + (f / pole) ** 2)) / abs(part.channels.sensitivity[row])
-    used = data.usable[row] & (data.frequency > 0.0) & np.isfinite(size) & np.isfinite(sigma)
-    against = {"frequency": data.frequency[used], "level": np.abs(data.shown[used, 1])}
-    return _powers(size[used], math.sqrt(2.0) * sigma[used], against)
-
-
-def _of_rate(number: int, part: Sines | Turning, row: int, state: State) -> dict[str, float]:
-    rate, mean, sigma = _stretches(number, part, row, state)
-    used = np.abs(rate) > 0.0
-    return _powers(np.abs(mean[used]), sigma[used], {"rate": np.abs(rate[used])})
-
-
-def _stretches(number: int, part: Sines | Turning, row: int, state: State) -> tuple[Array, Array, Array]:
-    """Mean rate in the case, mean of what is left of a channel, SI, and its standard deviation, for every stretch."""
-    assert isinstance(part, Turning)
-    data, left = part.data, _left(part, number, state, row).real
-    upward = data.up[int(np.argmax(np.abs(data.up[:, 0])))]  # the platter turns one way, the cube is turned over
-    rate = np.array([(upward * data.counted.rate)[begin:end].mean() for begin, end in data.stretches])
-    mean = np.array([left[begin:end].mean() for begin, end in data.stretches])
-    spans = (np.array([[0.0], [(end - begin) * data.interval]]) for begin, end in data.stretches)
-    variance = np.array([data.noise[row].covariance(*span)[0, 0] for span in spans])
-    return rate, mean, np.sqrt(variance) / abs(float(part.channels.sensitivity[row]))
-
-
-def _powers(size: Array, noise: Array, against: Mapping[str, Array]) -> dict[str, float]:
+def _powers(grown: Growth) -> dict[str, float]:
     """Exponents of what varies by a factor of 1.3 at least: size² = (c·Π xᵖ)² + noise², give or take some per cent."""
     from scipy.optimize import least_squares
 
-    varying = {name: np.log(one) for name, one in against.items() if len(one) > 2 and one.max() > 1.3 * one.min() > 0.0}
+    size, noise = grown.size, grown.noise
+    varying = {
+        name: np.log(one) for name, one in grown.against.items() if len(one) > 2 and one.max() > 1.3 * one.min() > 0.0
+    }
     seen = size > SEEN * noise
     if np.count_nonzero(seen) < len(varying) + 3 or not varying:
         return {}
@@ -335,28 +278,18 @@ def _powers(size: Array, noise: Array, against: Mapping[str, Array]) -> dict[str
 
 
 def _parity(fit: Fit, found: Candidate | None, standing: Sequence[Group]) -> Parity:
-    if not standing:
-        return "unseen"
-    if standing[0].place == "shaker":
-        lines = [
-            one for one in standing if one.place == "shaker" and (one.domain.endswith("f") or one.domain == "mean")
-        ]
-        even = sum(one.chi2 - one.count for one in lines if one.domain in ("mean", "2f", "4f"))
-        return _named(even, sum(one.chi2 - one.count for one in lines) - even)
-    means = [one for one in standing if one.domain == "mean, moving"]
-    return _of_senses(fit, found, means[0]) if means else "unseen"
-
-
-def _of_senses(fit: Fit, found: Candidate | None, group: Group) -> Parity:
-    """Sum against difference of stretches that turn alike in both senses."""
-    rate, mean, sigma = _stretches(*_where(fit, group), _bared(fit, found))
-    even = odd = noise = 0.0
-    for k in np.flatnonzero(rate > 0.0):
-        j = int(np.argmin(np.abs(rate + rate[k])))
-        if abs(rate[j] + rate[k]) < NEAR * rate[k]:
-            even, odd = even + (mean[k] + mean[j]) ** 2, odd + (mean[k] - mean[j]) ** 2
-            noise += sigma[k] ** 2 + sigma[j] ** 2
-    return _named(even, odd) if even + odd > SEEN**2 * noise > 0.0 else "unseen"
+    """By the rows of the experiment that tells first."""
+    even = odd = 0.0
+    telling = ""
+    for part, group, row, said in _seen(fit, found, standing):
+        one = part.reversal(group.domain, row, group.chi2 - group.count, said)
+        if one is None or not part.within(telling or part.experiment):
+            continue
+        telling = part.experiment
+        even, odd = even + one.even, odd + one.odd
+        if one.decides:
+            break
+    return _named(even, odd)
 
 
 def _named(even: float, odd: float) -> Parity:

@@ -21,7 +21,6 @@ from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
 from rig.model import Effect, Term
-from rig.parts.part import Tabled
 from rig.shelf import shelf as shelf_of
 
 Verdict = Literal["adequate", "missing", "unlisted"]
@@ -262,7 +261,7 @@ def _unevenness(before: Fit, after: Fit) -> float:
     size, found = 0.0, 0.0
     for part, first, end in zip(after.parts, offsets, offsets[1:], strict=False):
         weight = float(change[first:end] @ change[first:end])
-        factor = part.unevenness(change[first:end], before.left[first:end]) if isinstance(part, Tabled) else 1.0
+        factor = part.unevenness(change[first:end], before.left[first:end])
         size, found = size + weight, found + weight * factor
     return found / size if size > 0.0 else 1.0
 

@@ -62,17 +62,19 @@ class Candidate:
 
 def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
     """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
-    places = {part.place for part in found.parts}
-    held = {place: {name for part in found.parts if part.place == place for name in part.logged} for place in places}
+    held: dict[str, set[str]] = {}
+    for part in found.parts:
+        held.setdefault(part.experiment, set()).update(part.logged)
     rates = {bool(r) for part in found.parts for r in part.channels.rates}
     there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
     result = []
     for effect in shelf.values():
         if effect.instrument and not any(effect.instrument in part.instruments for part in found.parts):
             continue
-        if effect.looks_in != looks_in or effect.absorbed or not places.intersection(effect.places):
+        here = {part.experiment for part in found.parts if part.acts(effect)}
+        if effect.looks_in != looks_in or effect.absorbed or not here:
             continue
-        if not any(held[place].issuperset(effect.needs) for place in places.intersection(effect.places)):
+        if not any(held[one].issuperset(effect.needs) for one in here):
             continue  # what nobody logged cannot be found to be the cause
         quantities: Iterable[Quantity | None] = effect.quantities or (None,)
         for on in quantities:
@@ -130,9 +132,9 @@ class _Sight:
         for number, (part, raw) in enumerate(zip(self.found.parts, self.raws, strict=True)):
             local, terms = self.found.state.local(part, number), self.found.state.terms
             here = raw
-            if any(term.at.values()) and part.place in term.effect.places:
+            if any(term.at.values()) and part.here([term]):
                 here = raw.copy()
-                only = fitting.apart(part, term)
+                only = part.apart(term)
                 here[slice(None) if only is None else only] = part.raw(local, [*terms, term], only)
             columns.append(fitting.term_columns(part, local, terms, term, here))
             moved.append(np.zeros(part.rows) if here is raw else part.whitened(here - raw))
@@ -168,11 +170,10 @@ def _scored(sight: _Sight, term: Term) -> Score:
 
 def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
     """Starts in the part that has most of the channels concerned."""
-    fitting_parts = [p for p in found.parts if p.place in term.effect.places and len(p.channels.of(term.on))]
+    fitting_parts = [p for p in found.parts if p.here([term]) and len(p.channels.of(term.on))]
     if not fitting_parts:
         return []
-    place = "turntable" if term.on == "rate" else "shaker"
-    chosen = min(fitting_parts, key=lambda part: part.place != place)
+    chosen = min(fitting_parts, key=lambda part: not part.excites(term.on))
     return term.effect.starts(chosen.reference, term.on)
 
 

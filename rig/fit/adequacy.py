@@ -9,22 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.fit.fit import Fit
-from rig.motion import ORDERS, Array
-from rig.parts.part import Tabled
-from rig.parts.sines import LINES, MAINS_ORDERS, Sines
-from rig.parts.turning import Turning
+from rig.parts.part import ALLOWANCE
 
-ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
 LIMIT = 5.0  # standard deviations of a group's χ²
-BANDS = ((0.0, 0.3), (0.3, 1.2), (1.2, 3.0), (3.0, 20.0))  # Hz
 FEWEST = 4
-KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
 @dataclass(frozen=True)
@@ -32,7 +25,7 @@ class Group:
     """Some rows: where they are, χ², their number, and how far χ² is above that in standard deviations."""
 
     part: str
-    place: str
+    experiment: str
     channel: str
     domain: str
     chi2: float
@@ -54,19 +47,20 @@ class Group:
 
 def groups(found: Fit) -> list[Group]:
     """Every group of rows."""
-    result: list[Group] = []
-    offsets = found.offsets()
-    for part, first, end in zip(found.parts, offsets, offsets[1:], strict=False):
-        left, counted = found.left[first:end], part.counted.copy()
-        if found.use is not None:
-            counted &= found.use[first:end]
-        if isinstance(part, Sines):
-            result += _of_sines(part, left, counted)
-        elif isinstance(part, Turning):
-            result += _of_turning(part, left, counted)
-        elif isinstance(part, Tabled):
-            result += _of_table(part, left, counted)
-    return [*(one for one in result if one.count >= FEWEST), *_pulls(found)]
+    result = [one for number in range(len(found.parts)) for one in _of_part(found, number) if one.count >= FEWEST]
+    return [*result, *_pulls(found)]
+
+
+def _of_part(found: Fit, number: int) -> Iterator[Group]:
+    """Every kind of row of every name."""
+    part, rest = found.parts[number], found.rest(number)
+    table, used = (one.reshape(len(part.row_names), -1) for one in (rest.left**2, rest.used))
+    domains = part.domains()
+    for row, name in enumerate(part.row_names):
+        for domain, mask in domains.items():
+            here = used[row, mask]
+            chi2, count = float(table[row, mask][here].sum()), int(np.count_nonzero(here))
+            yield Group(part.name, part.experiment, name, domain, chi2, count, part.allowance_of(name, mask))
 
 
 def _pulls(found: Fit) -> Iterator[Group]:
@@ -91,57 +85,3 @@ def adequate(found: Fit) -> bool:
 def excess(found: Fit) -> float:
     """χ² in excess of the number of rows, in groups that stand out."""
     return sum(max(one.chi2 - one.count, 0.0) for one in groups(found) if one.z > 3.0)
-
-
-def domains() -> tuple[str, ...]:
-    """Domains of a sine record's rows, in their order: the mean, then two rows for each line."""
-    return ("mean", *(f"{k}f" for k in range(1, ORDERS)), *("mains" if m == 1 else f"{m}×mains" for m in MAINS_ORDERS))
-
-
-def _of_sines(part: Sines, left: Array, counted: NDArray[np.bool_]) -> Iterator[Group]:
-    c, p = part.data.usable.shape
-    table = (left**2).reshape(c, p, 2 * LINES - 1)
-    used = counted.reshape(c, p, 2 * LINES - 1)
-    for row, channel in enumerate(part.channels.names):
-        for place, domain in enumerate(domains()):
-            here = slice(0, 1) if place == 0 else slice(2 * place - 1, 2 * place + 1)
-            yield _group(part.name, "shaker", channel, domain, table[row, :, here], used[row, :, here])
-
-
-def _of_turning(part: Turning, left: Array, counted: NDArray[np.bool_]) -> Iterator[Group]:
-    c = len(part.channels.names)
-    table, used = (left**2).reshape(c, -1), counted.reshape(c, -1)
-    masks = bands_of(part)
-    allowance = ALLOWANCE * math.sqrt(max(KNOWN / max(part.data.resting, 1.0), 1.0))
-    for row, channel in enumerate(part.channels.names):
-        for domain, mask in masks.items():
-            one = _group(part.name, "turntable", channel, domain, table[row, mask], used[row, mask])
-            yield replace(one, allowance=allowance)
-
-
-def _of_table(part: Tabled, left: Array, counted: NDArray[np.bool_]) -> Iterator[Group]:
-    c = len(part.row_names)
-    table, used = (left**2).reshape(c, -1), counted.reshape(c, -1)
-    for row, name in enumerate(part.row_names):
-        for domain, mask in part.domains().items():
-            one = _group(part.name, part.place, name, domain, table[row, mask], used[row, mask])
-            yield replace(one, allowance=part.allowance_of(name, mask))
-
-
-def bands_of(part: Turning) -> dict[str, NDArray[np.bool_]]:
-    """Rows of one channel by domain: means, and bands of frequency, of a moving platter and at rest."""
-    stretches = len(part.data.stretches)
-    moving = np.array([bool(np.any(part.data.counted.rate[b:e] != 0.0)) for b, e in part.data.stretches])
-    of = part.stretch_of
-    f = part.frequency_of
-    mean = np.arange(len(of)) < stretches
-    found = {"mean, moving": mean & moving[of], "mean, at rest": mean & ~moving[of]}
-    for low, high in BANDS:
-        inside = ~mean & (f >= low) & (f < high)
-        found[f"{low:g}–{high:g} Hz, moving"] = inside & moving[of]
-        found[f"{low:g}–{high:g} Hz, at rest"] = inside & ~moving[of]
-    return found
-
-
-def _group(part: str, place: str, channel: str, domain: str, squares: Array, used: NDArray[np.bool_]) -> Group:
-    return Group(part, place, channel, domain, float(squares[used].sum()), int(np.count_nonzero(used)))

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Local, Term, at_work
+from rig.model import Local, Term
 from rig.motion import Array
-from rig.parts.part import STEP, Indices, Joint, Part
+from rig.parts.part import Part
+from rig.parts.remainder import Indices, Prediction, Remainder
 
 POLE_TOLERANCE = 0.1  # of the logarithm: what a data sheet's bandwidth is good for
 STRAIGHT = 0.02  # of a coordinate's step: what is left of the bend does not tell a delay from another delay
@@ -169,6 +170,18 @@ class Fit:
     def offsets(self) -> list[int]:
         """First row of every part."""
         return [0, *np.cumsum([part.rows for part in self.parts]).tolist()]
+
+    def said_of(self, number: int, state: State | None = None) -> Prediction:
+        """What the model says of a part; `state` for other parameters than those fitted."""
+        part, state = self.parts[number], state or self.state
+        return Prediction(state.local(part, number), state.terms, part.raw)
+
+    def rest(self, number: int) -> Remainder:
+        """What is left over of a part."""
+        part, first = self.parts[number], self.offsets()[number]
+        here = slice(first, first + part.rows)
+        used = part.counted if self.use is None else part.counted & self.use[here]
+        return Remainder(self.state.local(part, number), self.state.terms, part.raw, self.left[here], used)
 
     def u(self, number: int) -> dict[str, float]:
         """Standard uncertainties of a term's coordinates."""
@@ -351,7 +364,7 @@ def blocks_of(
 ) -> list[Block]:  # fmt: skip
     """Columns of all parameters for the rows of one part, `raw` being its prediction at the state."""
     local = state.local(part, number)
-    own = _own_columns(part, local, state, raw)
+    own = part.own_columns(local, state.terms, raw)
     shared, where = [part.extra], [order.nuisances[number] + np.arange(part.extra.shape[1])]
     for at, term in zip(order.terms, state.terms, strict=True):
         others = [one for one in state.terms if one is not term]
@@ -381,20 +394,6 @@ def _merged(index: Indices, matrix: Array) -> tuple[Indices, Array]:
     return different, found
 
 
-def _own_columns(part: Part, local: Local, state: State, raw: NDArray[np.inexact]) -> list[Array]:
-    """Derivatives by gain, pole and zero of every channel, each (rows,) or (rows, c)."""
-    if isinstance(part, Joint):
-        return part.own_columns(local, state.terms, raw)
-    nearby = [
-        replace(local, sensitivity=local.sensitivity + STEP * part.channels.sensitivity),
-        replace(local, pole=local.pole * np.exp(STEP)),
-        replace(local, zero=local.zero + STEP),
-    ]
-    if not state.poles:
-        nearby[1] = local
-    return [part.each_channel((part.raw(one, state.terms) - raw) / STEP) for one in nearby]
-
-
 def term_columns(
     part: Part, local: Local, others: Sequence[Term], term: Term, base: NDArray[np.inexact] | None = None
 ) -> Array:
@@ -403,11 +402,11 @@ def term_columns(
     `base` is the prediction at the term's own coordinates, if it is known. Only the channels concerned are worked out.
     """
     names = fitted(term)
-    if not at_work([term], part.place, part.name) or not len(part.channels.of(term.on)):
+    if not part.here([term]) or not len(part.channels.of(term.on)):
         return np.zeros((part.rows, len(names)))
     if base is None:
         base = part.raw(local, [*others, term])
-    only = apart(part, term)
+    only = part.apart(term)
     columns = []
     for coordinate in term.effect.coordinates:
         if not coordinate.searched:
@@ -418,12 +417,6 @@ def term_columns(
             change[where] = _beyond_rounding(part.raw(local, [*others, nearby], only), base[where]) / step
             columns.append(part.whitened(change))
     return np.stack(columns, axis=1) if columns else np.zeros((part.rows, 0))
-
-
-def apart(part: Part, term: Term) -> Indices | None:
-    """Channels of a part that alone feel a term; None if all do."""
-    alone = term.on is not None and term.effect.stage != "reference" and not isinstance(part, Joint)
-    return part.channels.of(term.on) if alone else None
 
 
 def _beyond_rounding(moved: NDArray[np.inexact], base: NDArray[np.inexact]) -> NDArray[np.inexact]:

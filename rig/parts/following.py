@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Channels, Effect, Local, Term, at_work, volts
+from rig.model import Channels, Local, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
-from rig.parts.part import Cut, Mask, Tabled
+from rig.parts.part import Part
 from rig.parts.reading.conditions import filled, logged
-from rig.parts.sines import REMEMBERED, reference_key
-from rig.parts.turning import Shown, true_motion
+from rig.parts.reference_motion import REMEMBERED, Shown, reference_key, true_motion, turns
+from rig.parts.remainder import Cut, Mask
 
 DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
 PER_DECADE = 8.0
@@ -95,25 +95,35 @@ def tangent_of(data: FollowRecords) -> Array:
     return np.cross(np.eye(3)[data.axis], data.outward)
 
 
-class Following(Tabled):
-    """Such records as a part of a fit."""
+class Following(Part):
+    """Such records as a part of a fit. Raises BadInput for too few instants, or a case that did not move."""
 
     def __init__(self, data: FollowRecords) -> None:
-        self.data, self.name, self.run, self.place, self.channels = data, data.name, data.run, data.place, data.channels
-        self.notes, self.blind = data.notes, data.blind
-        self.logged = logged(temperature=data.temperature, supply=data.supply)
-        self.row_names, self.row_rates = data.channels.names, data.channels.rates
-        self.grid = Stretches(data.interval, data.records)
+        self.data = data
         if not data.stretches or any(end <= begin for begin, end in data.stretches):
             seconds = data.interval * len(data.time)
             raise BadInput(
                 f"{data.name}: found {len(data.time)} usable instants in {seconds:.3g} s, too few for a spectrum, "
                 "wanted a longer record, or the unit of its time stamps put right"
             )
-        self.width = sum(len(f) for f in self._frequencies)
-        self.extra = np.zeros((self.rows, 0))
+        width = sum(len(f) for f in self._frequencies)
+        super().__init__(data.name, data.run, data.channels, width, notes=data.notes, blind=data.blind)
+        self.logged = logged(temperature=data.temperature, supply=data.supply)
+        self.grid = Stretches(data.interval, data.records)
         self._moved: dict[tuple[object, ...], Motion] = {}
-        self.target = self.whitened(data.observed)
+        self.target = self.whitened(data.observed)  # refuses at once what cannot be compared
+
+    @property
+    def experiment(self) -> str:
+        return self.data.place
+
+    @property
+    def drawing(self) -> str:
+        return {"rotation": "rotation", "free": "motion"}[self.data.place]
+
+    @property
+    def observed(self) -> Array:
+        return self.data.observed
 
     @cached_property
     def _frequencies(self) -> list[Array]:
@@ -145,7 +155,7 @@ class Following(Tabled):
         if key not in self._moved:
             if len(self._moved) > REMEMBERED:
                 self._moved.clear()
-            motion = self._read([t for t in terms if type(t.effect).turned is not Effect.turned])
+            motion = self._read([t for t in terms if turns(t)])
             for term in (t for t in terms if t.effect.stage == "reference"):
                 motion = term.effect.motion(motion, term.at)
             self._moved[key] = motion
@@ -163,7 +173,7 @@ class Following(Tabled):
         count = len(data.time)
         outward, tangent = (np.repeat(one[:, None], count, axis=1) for one in (data.outward, tangent_of(data)))
         return Motion(
-            grid=self.grid, place=self.place, force=force, rate=rate, turning=turning, up=up, gravity=data.gravity,
+            grid=self.grid, place=self.experiment, force=force, rate=rate, turning=turning, up=up, gravity=data.gravity,
             temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
             elapsed=data.time - float(data.time[0]), angle=angle, motor=np.zeros(count), outward=outward,
             tangent=tangent,
@@ -171,7 +181,7 @@ class Following(Tabled):
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
         """Predicted outputs of every channel (or of some), (c, n)."""
-        terms = at_work(terms, self.place, self.name)
+        terms = self.here(terms)
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)

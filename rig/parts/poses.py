@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Channels, Local, Term, at_work, volts
+from rig.model import Channels, Local, Term, volts
 from rig.motion import Array, Motion, Response
-from rig.parts.part import STEP, Cut, Mask, Tabled
+from rig.parts.part import STEP, Part
 from rig.parts.reading.conditions import filled, logged
+from rig.parts.remainder import Cut, Indices, Mask
 
 GRAVITY = "gravity"
 TILT = math.radians(2.0)  # how well the axis of a turn is along that of the case, standard uncertainty of each angle
@@ -90,28 +91,31 @@ class Felt:
     volts: Array
 
 
-class Posed(Tabled):
+class Posed(Part):
     """Poses and turns as a part of a fit. One nuisance: local gravity, within its uncertainty.
 
     Raises BadInput for accelerometers that are no triad of x, y and z.
     """
 
-    place = "poses"
+    experiment = "poses"
+    drawing = "poses"
 
     def __init__(self, data: PosedRecords) -> None:
-        self.data, self.name, self.run, self.channels = data, data.name, data.run, data.channels
+        self.data, self.grid = data, Still()
         self.logged = logged(temperature=data.temperature, supply=data.supply)
-        self.grid, self.width = Still(), data.observed.shape[1]
         self._triad, self._gyros = _triad(data), data.channels.of("rate")
-        first = (GRAVITY,) if len(self._triad) else ()
-        self.row_names = (*first, *(data.channels.names[c] for c in self._gyros))
-        self.row_rates = np.array([name != GRAVITY for name in self.row_names])
+        names = (*((GRAVITY,) if len(self._triad) else ()), *(data.channels.names[c] for c in self._gyros))
+        rates = np.array([name != GRAVITY for name in names])
+        super().__init__(data.name, data.run, data.channels, data.observed.shape[1], row_names=names, row_rates=rates,
+                         notes=data.notes)  # fmt: skip
         self._turned = np.any(data.turn != 0.0, axis=0)
         self._start = _unit(self._first(data.channels.sensitivity, np.zeros(len(data.channels.names))))
-        attitudes = _different(self._start[:, ~self._turned]) if len(self._triad) else 0
-        self.notes, self.blind = data.notes, tuple(_blind(data, attitudes))
-        self.target = self.whitened(self._table(np.zeros(self.width), data.observed))
+        self.blind = tuple(_blind(data, _different(self._start[:, ~self._turned]) if len(self._triad) else 0))
         self.extra = self._of_gravity()
+
+    @property
+    def observed(self) -> Array:
+        return self._table(np.zeros(self.width), self.data.observed)
 
     @cached_property
     def reference(self) -> Motion:
@@ -123,7 +127,7 @@ class Posed(Tabled):
         data = self.data
         rate = data.turn / data.seconds
         return Motion(
-            grid=self.grid, place=self.place, force=force, rate=rate, turning=np.zeros_like(rate), up=_unit(force),
+            grid=self.grid, place=self.experiment, force=force, rate=rate, turning=np.zeros_like(rate), up=_unit(force),
             gravity=data.gravity, temperature=filled("temperature", data.temperature),
             supply=filled("supply", data.supply),
             elapsed=data.time - float(data.time.min()),
@@ -165,9 +169,6 @@ class Posed(Tabled):
         rows = np.where(self._variance > 0.0, self._variance, 1.0)[self._gyros]
         return np.asarray(self.counted.reshape(-1, self.width) / np.sqrt(np.concatenate([*first, rows])))
 
-    def _here(self, terms: Sequence[Term]) -> list[Term]:
-        return at_work(terms, self.place, self.name)
-
     def _volts(self, force: Array, local: Local, terms: Sequence[Term]) -> Array:
         return np.asarray(volts(self._motion(force), self.channels, local, terms), np.float64)
 
@@ -194,11 +195,15 @@ class Posed(Tabled):
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
         """Gravity above what was felt, as a logarithm, m/s², then the gyros' outputs, V, (names, n); always all."""
-        found, g = self._felt(local, self._here(terms)), self.data.gravity
+        found, g = self._felt(local, self.here(terms)), self.data.gravity
         return self._table(g * np.log(g / np.linalg.norm(found.force, axis=0)), found.volts)
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
         return np.asarray((raw * self._scale).reshape(-1), np.float64)
+
+    def apart(self, term: Term) -> Indices | None:
+        """None: a magnitude belongs to three channels."""
+        return None
 
     def own_columns(self, local: Local, terms: Sequence[Term], raw: NDArray[np.inexact]) -> list[Array]:
         """Derivatives of the rows by relative gain, log pole and zero output of every channel, three of (rows, c)."""

@@ -19,17 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.manifest import Column
-from rig.foreign.tables import Foreign, Table
-from rig.model import Channels, Local, Term, at_work, volts
+from rig.model import Channels, Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
-from rig.parts.part import Cut, Mask, Tabled
+from rig.parts.formulas import OF_SHAKER
+from rig.parts.part import Part
 from rig.parts.reading.conditions import NOMINAL
+from rig.parts.remainder import Cut, Mask
 
 CLOSE = 1e-6  # relative: one frequency
 NEIGHBOURS = 2  # frequencies on either side that repeats' scatter is pooled over
 CONFOUNDED = 0.8  # correlation of the logarithms of level and frequency
-HELD_OUT = 3  # every third frequency is held out where no file is
 
 
 @dataclass(frozen=True)
@@ -53,91 +52,32 @@ class ResponseTable:
     notes: tuple[str, ...] = ()
 
 
-def responses(foreign: Foreign) -> list[ResponseTable]:
-    """Every file of a run of kind "response". Raises BadInput for rows that are no numbers."""
-    held = any(table.held_out for table in foreign.tables)
-    return [_table(foreign, number, table, held) for number, table in enumerate(foreign.tables)]
-
-
-def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> ResponseTable:
-    made = foreign.manifest
-    frequency = foreign.si(table, made.of("reference", "frequency")[0])
-    device: dict[str, Column] = {one.quantity: one for one in made.of("device")}
-    ratio, u_magnitude, u_phase, first = _ratio(foreign, table, device)
-    excitation = [foreign.si(table, one) for one in made.of("reference", "excitation")]
-    along = excitation[0] if excitation else np.ones(len(frequency))
-    if not np.isfinite(frequency * np.abs(ratio) * along).all():
-        raise BadInput(f"{foreign.run} {table.label}: found rows that are no numbers, wanted a response in every row")
-    for what, values in (("frequency", frequency), ("excitation", along), ("magnitude", np.abs(ratio))):
-        if not (values > 0.0).all():
-            row = int(np.argmin(values > 0.0))
-            where = f"{foreign.run} {table.label}, row {row + 1}, {what}"
-            raise BadInput(f"{where}: found {values[row]:g}, wanted more than nought")
-    if not np.isfinite(u_magnitude + u_phase).all():
-        raise BadInput(f"{foreign.run} {table.label}: found uncertainties that are no numbers, wanted one in every row")
-    order = np.argsort(frequency, kind="stable")
-    place = _places(frequency[order])
-    repeat = np.concatenate([np.arange(n) for n in np.bincount(place)])
-    held = np.full(len(order), table.held_out) if by_file else place % HELD_OUT == HELD_OUT - 1
-    notes: tuple[str, ...] = (
-        () if excitation else ("no excitation is stated: what depends on the level cannot be seen",)
-    )
-    sign = 1.0 if ratio[order[0]].real >= 0.0 else -1.0  # a quarter of a turn is more than any sensor lags so low
-    if sign < 0.0:
-        notes = (
-            *notes,
-            f"{table.label}: the response counts against the reference (phase near π at the lowest "
-            f"frequency): a matter of sign or mounting, taken as a sensitivity of −1 and not as dynamics",
-        )
-    return ResponseTable(
-        name=f"{foreign.run}#{number}", run=foreign.run, channels=_channels(first, sign), frequency=frequency[order],
-        excitation=along[order], ratio=ratio[order], u_magnitude=u_magnitude[order], u_phase=u_phase[order],
-        repeat=repeat, held=held, gravity=made.gravity.value, notes=notes,
-    )  # fmt: skip
-
-
-def _ratio(foreign: Foreign, table: Table, device: Mapping[str, Column]) -> tuple[Complexes, Array, Array, Column]:
-    """Complex ratio and the stated uncertainties of magnitude and phase, and the column that names the channel."""
-    if "magnitude" in device:
-        size, turn = (foreign.si(table, device[name]) for name in ("magnitude", "phase"))
-        us = [foreign.u(table, device[name]) for name in ("magnitude", "phase")]
-        u_size, u_turn = (np.zeros(len(size)) if u is None else u for u in us)
-        return np.asarray(size * np.exp(1j * turn)), u_size, u_turn, device["magnitude"]
-    real, imaginary = (foreign.si(table, device[name]) for name in ("real", "imaginary"))
-    us = [foreign.u(table, device[name]) for name in ("real", "imaginary")]
-    stated = [u for u in us if u is not None] or [np.zeros(len(real))]
-    either = np.sqrt(np.mean(np.square(stated), axis=0))
-    ratio = real + 1j * imaginary
-    return np.asarray(ratio), either, either / np.abs(ratio), device["real"]
-
-
-def _channels(column: Column, sign: float) -> Channels:
-    """One accelerometer along the drive."""
-    return Channels(
-        names=(column.channel,), rates=np.zeros(1, np.bool_), axis=np.array(["xyz".index(column.axis or "x")]),
-        slot=np.zeros(1, np.intp), side=np.array([math.nan]), sensitivity=np.array([sign]),
-        tolerance=np.array([column.tolerance]), pole=np.array([column.bandwidth or math.inf]), unit=("unit",),
-    )  # fmt: skip
-
-
-def _places(frequency: Array) -> NDArray[np.intp]:
+def places_of(frequency: Array) -> NDArray[np.intp]:
     """Number of each distinct frequency, for sorted ones, (p,)."""
     new = np.diff(frequency, prepend=-math.inf) > CLOSE * frequency
     return np.cumsum(new) - 1
 
 
-class Responding(Tabled):
-    """A table of frequency responses as a part of a fit."""
+class Responding(Part):
+    """A table of frequency responses as a part of a fit. Raises BadInput without repeats and uncertainties."""
 
-    place = "shaker"
+    experiment = "shaker"
+    drawing = "response"
+    formulas = OF_SHAKER
 
     def __init__(self, data: ResponseTable) -> None:
-        self.data, self.name, self.run, self.channels = data, data.name, data.run, data.channels
-        self.notes, self.row_names, self.row_rates = data.notes, data.channels.names, data.channels.rates
-        self.blind, self.width = _blind(data), 2 * len(data.frequency)
-        self.extra = np.zeros((self.rows, 0))
+        self.data = data
+        super().__init__(data.name, data.run, data.channels, 2 * len(data.frequency), notes=data.notes,
+                         blind=_blind(data))  # fmt: skip
         self.grid, self._fine = Periods(data.frequency), Periods(data.frequency, FINE)
-        self.target = self.whitened(self._logarithm(data.ratio[None]))
+        self._turns = self._points()
+
+    @property
+    def observed(self) -> Complexes:
+        return self._logarithm(self.data.ratio[None])
+
+    def excites(self, on: Quantity | None) -> bool:
+        return on != "rate"
 
     @cached_property
     def reference(self) -> Motion:
@@ -148,14 +88,14 @@ class Responding(Tabled):
         along[:, 1] = data.excitation
         still = np.zeros((3, count, PHASES))
         return Motion(
-            grid=self.grid, place=self.place, force=still, rate=still, turning=still, up=up, gravity=data.gravity,
+            grid=self.grid, place=self.experiment, force=still, rate=still, turning=still, up=up, gravity=data.gravity,
             temperature=np.full(count, NOMINAL["temperature"]), supply=np.full(count, NOMINAL["supply"]),
             elapsed=np.zeros(count), along=along, drive=drive, side=side, source=np.zeros(count), scale=np.ones(count),
         )  # fmt: skip
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
         """Logarithm of the predicted ratio, (1, p)."""
-        terms = at_work(terms, self.place, self.name)
+        terms = self.here(terms)
         shown = self.reference
         along = shown.along
         for term in terms:
@@ -174,11 +114,10 @@ class Responding(Tabled):
         phase = np.angle(ratio * np.conj(self._means))  # small steps between repeats and neighbours
         return np.asarray(np.log(np.abs(ratio)) + 1j * np.unwrap(phase))
 
-    @cached_property
-    def _turns(self) -> list[tuple[slice, Array, Array]]:
+    def _points(self) -> list[tuple[slice, Array, Array]]:
         """For every frequency its points, the transform to mean and contrasts, and variances of both parts, (n, 2)."""
         data = self.data
-        place = _places(data.frequency)
+        place = places_of(data.frequency)
         counts = np.bincount(place)
         bounds = np.concatenate([[0], np.cumsum(counts)])
         scatter = self._scatter(bounds)
@@ -218,7 +157,7 @@ class Responding(Tabled):
     @cached_property
     def _means(self) -> Complexes:
         """Mean response at each point's frequency, (p,)."""
-        place = _places(self.data.frequency)
+        place = places_of(self.data.frequency)
         total = np.bincount(place, self.data.ratio.real) + 1j * np.bincount(place, self.data.ratio.imag)
         return np.asarray((total / np.bincount(place))[place])
 

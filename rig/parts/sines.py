@@ -12,101 +12,55 @@ and three times the mains frequency. What makes them uncertain:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Local, Term, at_work, volts
+from rig.model import Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
+from rig.parts import sine_cuts, sine_laws, sine_options, sine_signs
+from rig.parts.formulas import OF_SHAKER
+from rig.parts.part import Option, Part
 from rig.parts.reading.conditions import filled, logged
-from rig.signals.noise import NoiseModel
+from rig.parts.reference_motion import REMEMBERED, reference_key
+from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
+from rig.parts.ripple import Floor, said
+from rig.parts.sine_records import LINES, MAINS_ORDERS, WIDTH, SineRecords
 
-MAINS_ORDERS = (1, 3)
-LINES = ORDERS + len(MAINS_ORDERS)  # mean, harmonics, mains lines
-REMEMBERED = 8  # readings of the reference
 HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
 
 
-@dataclass(frozen=True)
-class Leftover:
-    """What the fit of one record left over: amplitudes at multiples of `resolution` Hz, V, (f, c).
-
-    `reference` is that of the reference; `taken` marks lines that the fit has emptied.
-    """
-
-    begin: float
-    resolution: float
-    amplitude: Complexes
-    reference: Complexes
-    taken: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class SineRecords:
-    """What was recorded in one mounting, p records of c channels, records at rest among them (`index` −1).
-
-    `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown`
-    complex acceleration of the drive that the reference shows, m/s², (p, 6), with `reference_variance` (p, 6) of each
-    part, (m/s²)²; `gated` the same without samples that stand out of its record, whose share and depth `outliers`
-    tells, (p, 2). `frequency` Hz, `begin` and `end` s on the bench's clock, `level`, all (p,). `usable` (c, p).
-    """
-
-    name: str
-    run: str
-    axis: str
-    channels: Channels
-    observed: Complexes
-    before: Complexes
-    variance: Array
-    noise: tuple[NoiseModel, ...]
-    shown: Complexes
-    gated: Complexes
-    outliers: Array
-    reference_variance: Array
-    frequency: Array
-    nominal: Array
-    begin: Array
-    end: Array
-    level: tuple[str, ...]
-    index: NDArray[np.intp]
-    usable: NDArray[np.bool_]
-    source: Array
-    scale: Array
-    temperature: Array
-    supply: Array
-    mains: float
-    gravity: float
-    directions: Array  # drive, up and side in the case frame, (3, 3), columns
-    leftovers: tuple[Leftover, ...] = ()
-    notes: tuple[str, ...] = ()
-    held: NDArray[np.bool_] | None = None  # (p,): points that a model is judged by; every third without
-    vibrometer: bool = True  # whether the reference is one
-
-
-class Sines:
+class Sines(Part):
     """One mounting on the shaker as a part of a fit."""
 
-    place = "shaker"
+    experiment = "shaker"
+    formulas = OF_SHAKER
 
     def __init__(self, data: SineRecords) -> None:
+        super().__init__(data.name, data.run, data.channels, len(data.frequency) * WIDTH, notes=data.notes)
+        self.data = data
         self.instruments = frozenset({"vibrometer"} if data.vibrometer else ())
-        self.data, self.name, self.channels = data, data.name, data.channels
         source = np.where(data.source != 0.0, data.source, np.nan)
         self.logged = logged(temperature=data.temperature, supply=data.supply, source=source)
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
         self._moved: dict[tuple[object, ...], Motion] = {}
-        self.extra = np.zeros((self.rows, 0))
-        self.target = self.whitened(data.observed)
 
     @property
-    def rows(self) -> int:
-        """Numbers compared: one for each mean, two for each line."""
-        c, p = self.data.usable.shape
-        return int(c * p * (2 * LINES - 1))
+    def drawing(self) -> str:
+        return "sweep" if self.data.driven.any() else ""
+
+    @property
+    def observed(self) -> Complexes:
+        return self.data.observed
+
+    def excites(self, on: Quantity | None) -> bool:
+        return on != "rate"
 
     @cached_property
     def reference(self) -> Motion:
@@ -116,7 +70,7 @@ class Sines:
         still = np.zeros((3, count, PHASES))
         drive, up, side = (np.repeat(data.directions[:, k : k + 1], count, axis=1) for k in range(3))
         return Motion(
-            grid=self.grid, place="shaker", force=still, rate=still, turning=still, up=up, gravity=data.gravity,
+            grid=self.grid, place=self.experiment, force=still, rate=still, turning=still, up=up, gravity=data.gravity,
             temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
             elapsed=0.5 * (data.begin + data.end) - float(data.begin.min()), along=data.shown, drive=drive, side=side,
             source=2.0 * data.source, scale=data.scale,
@@ -143,7 +97,7 @@ class Sines:
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Complexes:
         """Predicted lines of every channel (or of some), V, (c, p, LINES)."""
-        terms = at_work(terms, self.place, self.name)
+        terms = self.here(terms)
         channels, before = self.channels, self.data.before[..., :ORDERS]
         if only is not None:
             channels, local, before = channels.only(only), local.only(only), before[only]
@@ -224,7 +178,7 @@ class Sines:
         out = (self.data.index >= 0) & (driven % HELD_OUT == HELD_OUT - 1)
         if self.data.held is not None:
             out = self.data.held
-        return np.broadcast_to(out[None, :, None], (c, p, 2 * LINES - 1)).reshape(-1)
+        return np.broadcast_to(out[None, :, None], (c, p, WIDTH)).reshape(-1)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
@@ -235,21 +189,109 @@ class Sines:
         both = np.repeat(line[..., None], 2, axis=-1).reshape(c, p, -1)
         return np.concatenate([mean[..., None], both], axis=-1).reshape(-1)
 
+    # the bench's own ripple
 
-def reference_key(terms: Sequence[Term]) -> tuple[object, ...]:
-    """What decides how the reference is read: effects of its stage with their coordinates, and how fine it must be."""
-    stage = tuple((t.effect.name, *t.at.values()) for t in terms if t.effect.stage == "reference")
-    return (*stage, any(t.effect.kinked for t in terms))
+    @property
+    def mounting(self) -> str:
+        return self.data.axis
 
+    def said_of_ripple(self, floor: Floor | None) -> tuple[str, ...]:
+        return (said(floor),)
 
-def split(rows: Array, channels: int, points: int) -> tuple[Array, Complexes]:
-    """Rows as means (c, p) and complex lines (c, p, LINES − 1), in standard deviations."""
-    table = rows.reshape(channels, points, 2 * LINES - 1)
-    lines = table[..., 1:].reshape(channels, points, LINES - 1, 2)
-    return table[..., 0], np.asarray(lines[..., 0] + 1j * lines[..., 1])
+    def with_ripple(self, floor: Floor | None) -> Self:
+        """With the floor's shapes as nuisances: each part of the response of each driven accelerometer."""
+        if floor is None or floor.size == 0.0:
+            return self
+        data, made = self.data, copy(self)
+        f = np.where(data.frequency > 0.0, data.frequency, 1.0)
+        shapes = floor.shapes(np.log(f), data.frequency > 0.0)
+        columns = []
+        for c in data.along:
+            response = data.channels.sensitivity[c] / (1.0 + 1j * f / data.channels.pole[c])
+            for shape in shapes.T:
+                for turn in (1.0, 1j):
+                    raw = np.zeros(data.observed.shape, np.complex128)
+                    along = data.shown[:, 1] * data.directions[data.channels.axis[c], 0]
+                    raw[c, :, 1] = turn * shape * response * along
+                    columns.append(raw)
+        made.extra = self.whitened(np.array(columns)) if columns else made.extra
+        return made
 
+    def responses(self) -> Mapping[tuple[str, float, str], tuple[complex, float]]:
+        return sine_signs.responses(self.data)
 
-def directions(axis: str) -> Array:
-    """Drive, up and side in the case frame for a sweep of this axis: the next axis is up, the one after it aside."""
-    along = "xyz".index(axis)
-    return np.eye(3)[:, [(along + step) % 3 for step in range(3)]]
+    # noise, and what the rows stand for
+
+    def noise(self) -> Array:
+        """The sensor's noise, and the reference's in channels along the drive; of a line half in each row."""
+        return sine_cuts.noise(self.data).reshape(len(self.row_names), -1)
+
+    def numbers(self) -> Array:
+        """Means and complex lines."""
+        table = self.counted.reshape(len(self.row_names), -1, WIDTH)
+        both = np.concatenate([table[..., :1], table[..., 1::2]], axis=-1)
+        return np.asarray(both.sum(axis=(1, 2)), np.float64)
+
+    def errors(self, left: Array) -> Array:
+        return np.full(len(self.row_names), np.nan)
+
+    def domains(self) -> Mapping[str, Mask]:
+        return sine_cuts.domains_of(self.data)
+
+    def components(self) -> Mapping[str, Mask]:
+        """The driven line as magnitude and phase."""
+        return sine_cuts.components(self.data)
+
+    def cuts(self) -> Sequence[Cut]:
+        return tuple(sine_cuts.cuts(self.data))
+
+    def joined(self, cuts: Sequence[Cut]) -> str:
+        """Neighbouring frequencies as one span."""
+        return sine_cuts.joined(self.data, cuts) if cuts[0].kind == "frequency" else super().joined(cuts)
+
+    def squares(self, rest: Remainder) -> Array:
+        return sine_cuts.squares(self.data, rest)
+
+    def series(self, rest: Remainder) -> Iterator[Series]:
+        """The driven line along frequency and along time."""
+        return sine_cuts.series(self.data, rest)
+
+    def laws(
+        self, component: str, rows: Sequence[int], rest: Remainder, score: Score
+    ) -> Iterator[tuple[str, dict[int, float]]]:
+        return sine_laws.laws(self, self.data, sine_laws.Asked(component, tuple(rows), rest), score)
+
+    def growth(self, domain: str, row: int, found: Prediction) -> Growth | None:
+        return sine_laws.growth(self.data, domain, row, found)
+
+    def reversal(self, domain: str, row: int, excess: float, found: Prediction) -> Reversal | None:
+        """Even harmonics and the mean stay, odd ones change their sign."""
+        if domain != "mean" and not domain.endswith("f"):
+            return None
+        even = domain in ("mean", "2f", "4f")
+        return Reversal(excess if even else 0.0, 0.0 if even else excess)
+
+    def title(self, name: str) -> str:
+        return self.labels[self.row_names.index(name)][0]
+
+    def left_out(self) -> Iterator[str]:
+        bad = [n for n, usable in zip(self.channels.names, self.data.usable, strict=True) if not usable.all()]
+        if bad:
+            yield f"{self.name}: {', '.join(bad)} clipped or without a reference in some records, left out there"
+
+    # all sweeps together
+
+    @classmethod
+    def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:
+        return sine_signs.signs([part.data for part in parts])
+
+    @classmethod
+    def lacks(cls, parts: Sequence[Self]) -> Iterator[str]:
+        return sine_signs.lacks([part.data for part in parts])
+
+    @classmethod
+    def unmeasured(cls, parts: Sequence[Self], blind: Sequence[str]) -> Iterator[tuple[str, str]]:
+        return sine_signs.unmeasured([part.data for part in parts], blind)
+
+    def options(self) -> Iterator[Option]:
+        return sine_options.options(self.data, Sines)

@@ -8,96 +8,55 @@ which flicker ties together, are whitened with their covariance over the whole r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Channels, Effect, Local, Term, at_work, volts
+from rig.model import Local, Quantity, Term, volts
 from rig.motion import Array, Motion, Stretches
+from rig.parts import platter_laws, platter_options, platter_signs
+from rig.parts.formulas import OF_PLATTER
+from rig.parts.laws import scored
+from rig.parts.part import ALLOWANCE, Option, Part
+from rig.parts.platter_cuts import Rows
 from rig.parts.reading.conditions import filled, logged
-from rig.parts.sines import REMEMBERED, reference_key
-from rig.signals.noise import NoiseModel
+from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
+from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
+from rig.parts.turn_records import TurnRecords
 
-SETTLING = 14  # windows at either end of a record of a moving platter, where its acceleration is not well known
 # Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled
 # edges leave patterns that the encoder's second and first derivative cannot tell from motion
 HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
-INVERSIONS = 3  # of shown into true angle; each gains a factor of the error's size
-CLOSE = 1e-8  # rad: an inversion that changes no angle by more is the last
 HELD_OUT = 3  # every third stretch is not fitted when a model is judged
+KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
-@dataclass(frozen=True)
-class Shown:
-    """What the encoder shows at every window: angle (NaN where no index ties it down), rate and acceleration; (n,)."""
-
-    angle: Array
-    rate: Array
-    acceleration: Array
-
-
-@dataclass(frozen=True)
-class TurnRecords:
-    """One turntable run in one mounting after another: n windows of c channels.
-
-    `observed` (c, n) V. `counted` is the encoder as its lines were counted, `closed` with the lines that index pulses
-    prove lost put back. `records` bounds of the records among the windows, `stretches` bounds of the pieces that are
-    whitened together, with `moving` for each. `outward`, `tangent`, `up` unit vectors in the case frame, (3, n).
-    """
-
-    name: str
-    run: str
-    channels: Channels
-    observed: Array
-    counted: Shown
-    closed: Shown
-    lost: int
-    lines: int
-    noise: tuple[NoiseModel, ...]
-    interval: float
-    time: Array
-    records: tuple[tuple[int, int], ...]
-    labels: tuple[str, ...]
-    stretches: tuple[tuple[int, int], ...]
-    motor: NDArray[np.bool_]
-    outward: Array
-    tangent: Array
-    up: Array
-    radius: Array
-    temperature: Array
-    supply: Array
-    gravity: float
-    usable: NDArray[np.bool_]  # (c,)
-    resting: float  # s at rest, from which the noise is known
-    notes: tuple[str, ...] = ()
-
-
-class Turning:
+class Turning(Part):
     """A turntable run as a part of a fit."""
 
-    place = "turntable"
+    experiment = "turntable"
+    drawing = "platter"
     instruments = frozenset({"encoder"})
+    formulas = OF_PLATTER
 
     def __init__(self, data: TurnRecords) -> None:
-        self.data, self.name, self.channels = data, data.name, data.channels
+        width = sum(end - begin for begin, end in data.stretches)
+        super().__init__(data.name, data.run, data.channels, width, notes=data.notes)
+        self.data, self.of = data, Rows(data)
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid = Stretches(data.interval, data.records)
-        self.extra = np.zeros((self.rows, 0))
         self._moved: dict[tuple[object, ...], Motion] = {}
-        self.target = self.whitened(data.observed)
 
     @property
-    def width(self) -> int:
-        """Rows of one channel."""
-        return sum(end - begin for begin, end in self.data.stretches)
+    def observed(self) -> Array:
+        return self.data.observed
 
-    @property
-    def rows(self) -> int:
-        """Numbers compared."""
-        return self.width * len(self.channels.names)
+    def excites(self, on: Quantity | None) -> bool:
+        return on == "rate"
 
     @cached_property
     def reference(self) -> Motion:
@@ -116,12 +75,12 @@ class Turning:
     def _read(self, terms: Sequence[Term]) -> Motion:
         data = self.data
         shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
-        angle, rate, acceleration = true_motion(shown, [term for term in terms if _turns(type(term.effect))])
+        angle, rate, acceleration = true_motion(shown, [term for term in terms if turns(term)])
         force = (
             -data.outward * data.radius * rate**2 + data.tangent * data.radius * acceleration + data.up * data.gravity
         )
         return Motion(
-            grid=self.grid, place="turntable", force=force, rate=data.up * rate, turning=data.up * acceleration,
+            grid=self.grid, place=self.experiment, force=force, rate=data.up * rate, turning=data.up * acceleration,
             up=data.up, gravity=data.gravity, temperature=filled("temperature", data.temperature),
             supply=filled("supply", data.supply), elapsed=data.time - float(data.time[0]), angle=angle,
             motor=data.motor.astype(np.float64), outward=data.outward, tangent=data.tangent,
@@ -129,7 +88,7 @@ class Turning:
 
     def raw(self, local: Local, terms: Sequence[Term], only: NDArray[np.intp] | None = None) -> Array:
         """Predicted window means of every channel (or of some), V, (c, n)."""
-        terms = at_work(terms, self.place, self.name)
+        terms = self.here(terms)
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)
@@ -193,33 +152,10 @@ class Turning:
                 found.append((begin, end - begin, 1, [scale]))
         return [(first, count, pieces, np.stack(scales, axis=1)) for first, count, pieces, scales in found]
 
-    def each_channel(self, raw: NDArray[np.inexact]) -> Array:
-        """Whitened changes that are every channel's own; each moves its own rows only, (rows,)."""
-        return self.whitened(raw)
-
-    def blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
-        """Rows of each channel."""
-        width = self.width
-        return [(slice(c * width, (c + 1) * width), np.array([c])) for c in range(len(self.channels.names))]
-
-    @cached_property
-    def stretch_of(self) -> NDArray[np.intp]:
-        """Which stretch a row of one channel belongs to, (width,)."""
-        lengths = [end - begin for begin, end in self.data.stretches]
-        return np.concatenate([np.arange(len(lengths)), np.repeat(np.arange(len(lengths)), np.array(lengths) - 1)])
-
-    @cached_property
-    def frequency_of(self) -> Array:
-        """Frequency of a row of one channel, Hz, zero for means, (width,)."""
-        lines = [
-            np.arange(1, end - begin) / (2.0 * (end - begin) * self.data.interval) for begin, end in self.data.stretches
-        ]
-        return np.concatenate([np.zeros(len(lines)), *lines])
-
     @cached_property
     def held_out(self) -> NDArray[np.bool_]:
         """Rows of every third stretch, (rows,)."""
-        out = self.stretch_of % HELD_OUT == HELD_OUT - 1
+        out = self.of.stretch_of % HELD_OUT == HELD_OUT - 1
         return np.tile(out, len(self.channels.names))
 
     @cached_property
@@ -228,41 +164,77 @@ class Turning:
         means = np.repeat(self.data.usable[:, None], len(self.data.stretches), axis=1)
         return np.concatenate([means, *(scale > 0.0 for scale in self._scales)], axis=1).reshape(-1)
 
+    # noise, and what the rows stand for
 
-def true_motion(shown: Shown, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
-    """True angle, rate and acceleration: what the encoder shows is θ + Σδ(θ) of the true angle θ."""
-    angle = shown.angle
-    if not terms or not any(any(term.at.values()) for term in terms):
-        return angle, shown.rate, shown.acceleration
-    for _ in range(INVERSIONS):
-        known, angle = angle, shown.angle - sum(term.effect.turned(np.nan_to_num(angle), term.at)[0] for term in terms)
-        if not np.any(np.abs(angle - known) > CLOSE):
-            break
-    errors = [term.effect.turned(np.nan_to_num(angle), term.at) for term in terms]
-    first, second = (sum((one[k] for one in errors), np.zeros_like(angle)) for k in (1, 2))
-    rate = shown.rate / (1.0 + first)
-    return angle, rate, (shown.acceleration - rate**2 * second) / (1.0 + first)
+    def noise(self) -> Array:
+        return self.of.noise()
 
+    def numbers(self) -> Array:
+        """Windows."""
+        return np.asarray(self.width * self.data.usable, np.float64)
 
-def _turns(kind: type[Effect]) -> bool:
-    return kind.turned is not Effect.turned
+    def errors(self, left: Array) -> Array:
+        return np.full(len(self.row_names), np.nan)
 
+    @property
+    def allowance(self) -> float:
+        """A density is known as well as the rest was long."""
+        return ALLOWANCE * math.sqrt(max(KNOWN / max(self.data.resting, 1.0), 1.0))
 
-def only_stretches(data: TurnRecords, seconds: float) -> TurnRecords:
-    """The same with stretches of about this length."""
-    return replace(data, stretches=stretches_of(data.records, data.interval, seconds, data.counted.rate))
+    def domains(self) -> Mapping[str, Mask]:
+        return self.of.domains()
 
+    def components(self) -> Mapping[str, Mask]:
+        """Bands and orders per revolution."""
+        return self.of.components()
 
-def stretches_of(
-    records: Sequence[tuple[int, int]], interval: float, seconds: float, rate: Array
-) -> tuple[tuple[int, int], ...]:
-    """Records cut into pieces of about equal length; the first windows of a moving record are left out."""
-    found = []
-    for begin, end in records:
-        margin = SETTLING if np.any(rate[begin:end] != 0.0) else 0
-        length = end - begin - 2 * margin
-        pieces = max(1, round(length * interval / seconds))
-        if length // pieces > 4:  # of equal length, so that one transform does them all
-            first = begin + margin + np.arange(pieces) * (length // pieces)
-            found += [(int(b), int(b) + length // pieces) for b in first]
-    return tuple(found)
+    def cuts(self) -> Sequence[Cut]:
+        return tuple(self.of.cuts())
+
+    def entangled(self, component: str, other: str) -> bool:
+        """Means over stretches are whitened together at rest and moving."""
+        return component == other or (component.startswith("mean, ") and other.startswith("mean, "))
+
+    def recurs(self, component: str) -> bool:
+        return "revolution" in component
+
+    def series(self, rest: Remainder) -> Iterator[Series]:
+        """Of the gyros: means along time, and the lines of the longest stretch."""
+        return self.of.series(rest)
+
+    def laws(
+        self, component: str, rows: Sequence[int], rest: Remainder, score: Score
+    ) -> Iterator[tuple[str, dict[int, float]]]:
+        mask = self.components()[component]
+        return scored(self, platter_laws.shapes(self.data, component), [], rows, score, mask)
+
+    def growth(self, domain: str, row: int, found: Prediction) -> Growth | None:
+        return platter_laws.growth(self.data, domain, row, found)
+
+    def reversal(self, domain: str, row: int, excess: float, found: Prediction) -> Reversal | None:
+        return platter_laws.reversal(self.data, domain, row, found)
+
+    def title(self, name: str) -> str:
+        return self.labels[self.row_names.index(name)][0]
+
+    def left_out(self) -> Iterator[str]:
+        bad = [n for n, usable in zip(self.channels.names, self.data.usable, strict=True) if not usable]
+        if bad:
+            yield f"{self.name}: {', '.join(bad)} clipped, left out"
+
+    # all turntable runs together
+
+    @classmethod
+    def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:
+        return platter_signs.signs([part.data for part in parts])
+
+    @classmethod
+    def lacks(cls, parts: Sequence[Self]) -> Iterator[str]:
+        return platter_signs.lacks([part.data for part in parts])
+
+    @classmethod
+    def unmeasured(cls, parts: Sequence[Self], blind: Sequence[str]) -> Iterator[tuple[str, str]]:
+        return platter_signs.unmeasured([part.data for part in parts])
+
+    def options(self) -> Iterator[Option]:
+        return platter_options.options(self.data, Turning)

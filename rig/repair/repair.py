@@ -18,10 +18,11 @@ from rig.errors import BadInput
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit
-from rig.fit.floor import Floor, with_floor
+from rig.fit.floor import with_floor
 from rig.fit.quality import error_of
 from rig.formula import OwnTerm
 from rig.model import BOTH, Effect, Quantity, Term
+from rig.parts.ripple import Floor
 from rig.repair.model_file import OF_CHANNELS, Action, Entry, Model, Start, Step, load, terms_of, with_fit
 
 SAME = 1e-3  # relative: errors of one model on the same records
@@ -185,7 +186,8 @@ def _addable(bench: Bench, model: Model, entry: Entry, own: OwnTerm | None) -> E
     from rig.repair.model_file import effect_of
 
     if entry.formula is not None and entry.on is None:
-        entry = entry.model_copy(update={"on": "acceleration" if bench.evidence.sines else "rate"})
+        driven = any(part.excites("acceleration") for part in bench.evidence.parts)
+        entry = entry.model_copy(update={"on": "acceleration" if driven else "rate"})
     try:
         effect = effect_of(entry, bench.shelf, own.starts if own is not None else {})
     except BadInput as error:

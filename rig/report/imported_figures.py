@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from rig.diagnose.misfit import Condition
 from rig.fit.fit import Fit
 from rig.motion import Array
 from rig.parts.following import Following
-from rig.parts.part import Mask
 from rig.parts.poses import GRAVITY, Posed
+from rig.parts.remainder import Mask
 from rig.parts.response import Responding
 from rig.report.misfit_frame import APART, BAND, legend, new, plain, title
 
@@ -73,7 +73,7 @@ def response_of(part: Responding, left: Array) -> Response:
 
 def response(fit: Fit, numbers: Sequence[int], worst: Sequence[Condition]) -> Figure:
     """Every table of frequency responses in one figure: magnitude and phase, and below what the model leaves over."""
-    parts = [part for part in (fit.parts[number] for number in numbers) if isinstance(part, Responding)]
+    parts = [cast(Responding, fit.parts[number]) for number in numbers]
     figure, axes = new(2, 2, (10.0, 6.6), title("Frequency response", worst), sharex=True)
     labels = _labels(parts)
     for k, (label, part, number) in enumerate(zip(labels, parts, numbers, strict=True)):

@@ -6,6 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from rig.model import Channels
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -43,6 +47,15 @@ def title(name: str, worst: Sequence[Condition]) -> str:
     said = worst[0].in_words if worst and worst[0].stands_out else "nothing stands out of the noise"
     ratio = f" ({worst[0].ratio:.3g}\u00a0times\u00a0the\u00a0noise)" if worst and worst[0].stands_out else ""
     return "\n".join([f"{name}: what the model leaves over", *textwrap.wrap(said + ratio, 108)])
+
+
+def colour(channels: Channels, rows: Sequence[int], row: int) -> Any:
+    """That of the unit; of several channels of a unit, the later ones lighter."""
+    from matplotlib.colors import to_rgb
+
+    before = [one for one in rows if channels.titles[one] == channels.titles[row]].index(row)
+    base = np.array(to_rgb(channels.colours[row] or APART[row % len(APART)]))
+    return tuple((base + (1.0 - base) * 0.3 * before).clip(0.0, 1.0).tolist())
 
 
 def legend(ax: Any, columns: int) -> None:

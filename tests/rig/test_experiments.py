@@ -14,11 +14,14 @@ from rig.archive.records import Recorded
 from rig.diagnose import next_measurement as experiments
 from rig.diagnose import search
 from rig.diagnose.diagnose import Choice, Diagnosis, Step
-from rig.diagnose.next_measurement import Option, Ranked
+from rig.diagnose.next_measurement import Ranked
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit
-from rig.fit.floor import Floor
+from rig.parts import experiments as bench_experiments
+from rig.parts.part import Option
+from rig.parts.ripple import Floor
+from rig.parts.sine_options import swept
 from rig.parts.sines import Sines
 from rig.shelf import shelf
 
@@ -47,7 +50,7 @@ class Question:
         return Diagnosis("missing", (step,), self.base, self.truth.fit, ())
 
     def option(self, name: str) -> Option:
-        return next(one for one in experiments.options(self.base.parts) if one.name == name)
+        return next(one for one in bench_experiments.options(self.base.parts) if one.name == name)
 
     def power(self, name: str) -> float:
         return experiments.power(self.truth, self.rival, self.option(name).part())
@@ -112,15 +115,15 @@ def test_nothing_is_ranked_where_nothing_is_open(shaken: Question) -> None:
 @pytest.mark.parametrize("bench", ["shaken", "turned"])
 def test_no_measurement_tells_a_model_from_itself(bench: str, request: pytest.FixtureRequest) -> None:
     question: Question = request.getfixturevalue(bench)
-    for option in experiments.options(question.base.parts):
+    for option in bench_experiments.options(question.base.parts):
         assert experiments.power(question.truth, question.truth, option.part()) == pytest.approx(0.0, abs=1e-6)
 
 
 def _longer(question: Question, seconds: float) -> float:
-    data = question.evidence.sines[0].data
+    data = question.evidence.parts[0].data
     return experiments.power(
         question.truth, question.rival,
-        Sines(experiments.swept(data, "x", ("full", "quarter"), (20.0, 500.0), 24, seconds)),
+        Sines(swept(data, "x", ("full", "quarter"), (20.0, 500.0), 24, seconds)),
     )  # fmt: skip
 
 
@@ -157,7 +160,7 @@ def test_the_bench_accepts_every_measurement_in_about_the_time_that_is_said(
     bench: str, request: pytest.FixtureRequest
 ) -> None:
     question: Question = request.getfixturevalue(bench)
-    found = experiments.options(question.base.parts)
+    found = bench_experiments.options(question.base.parts)
     assert len({one.name for one in found}) == len(found)
     for option in found:
         text = fast_bench.yaml.safe_dump(dict(option.document), allow_unicode=True)

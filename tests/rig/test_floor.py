@@ -15,7 +15,8 @@ from fixtures.world import World
 from rig.errors import BadInput, ConfigError
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
-from rig.fit.floor import Floor, floor_of, load, said, save, with_floor
+from rig.fit.floor import floor_of, load, save, with_floor
+from rig.parts.ripple import Floor, said
 
 RIPPLE = 1e-3
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from imported_sweeps import DRIVE, MAINS, made
 
-from rig.diagnose.instruments import drive_off, findings
+from rig.diagnose.instruments import findings
 from rig.fit.evidence import Evidence
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.sine_lines import mains_seen
-from rig.parts.sines import SineRecords, Sines
+from rig.parts.sine_records import SineRecords
+from rig.parts.sine_signs import drive_off
+from rig.parts.sines import Sines
 from rig.shelf import shelf
 
 

@@ -14,7 +14,9 @@ from rig.diagnose.misfit import conditions
 from rig.diagnose.misfit_cells import tables
 from rig.fit.evidence import Evidence, evidence_of
 from rig.motion import Array
-from rig.report.misfit_figures import draw, shaker, turntable
+from rig.report.misfit_figures import draw
+from rig.report.platter_figure import turntable
+from rig.report.sweep_figure import shaker
 
 
 def _drawn(axes: Axes, *, points: int) -> list[tuple[Array, Array]]:
@@ -57,7 +59,7 @@ def test_the_same_fit_gives_the_same_file(sweep: Evidence, tmp_path: Path) -> No
 
 def test_the_title_says_the_worst_condition_and_the_last_row_shows_it(sweep: Evidence) -> None:
     fit = sweep.fitted()
-    figure = shaker(fit, 0, sweep.sines[0], conditions(fit, tables(fit)))
+    figure = shaker(fit, 0, sweep.parts[0], conditions(fit, tables(fit)))
     assert "2f" in figure.get_suptitle()
     assert "as the square of the level" in figure.get_suptitle()
     last = figure.axes[4]
@@ -67,7 +69,7 @@ def test_the_title_says_the_worst_condition_and_the_last_row_shows_it(sweep: Evi
 
 def test_a_turntable_run_shows_its_misfit_at_the_first_order(turn: Evidence) -> None:
     fit = turn.fitted()
-    figure = turntable(fit, 0, turn.turnings[0], conditions(fit, tables(fit)))
+    figure = turntable(fit, 0, turn.parts[0], conditions(fit, tables(fit)))
     time, angle, orders = figure.axes
     assert "once per revolution" in figure.get_suptitle()
     assert max(float(np.max(np.abs(y))) for _, y in _drawn(angle, points=36)) > 4.0
@@ -82,7 +84,7 @@ def test_a_clean_world_says_that_nothing_stands_out_and_stays_in_the_band(tmp_pa
     run = fast_bench.measure({"procedure": "frequency_sweep", "axis": "x", "points": 12}, fast_bench.world(7))
     clean = evidence_of([run])
     fit = clean.fitted()
-    figure = shaker(fit, 0, clean.sines[0], conditions(fit, tables(fit)))
+    figure = shaker(fit, 0, clean.parts[0], conditions(fit, tables(fit)))
     assert "nothing stands out of the noise" in figure.get_suptitle()
     values = np.concatenate([y for _, y in _drawn(figure.axes[0], points=3)])
     assert np.mean(np.abs(values) < 2.0) > 0.85

@@ -19,7 +19,8 @@ from rig.foreign.tables import Foreign
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.shaker_distortion import distortions, gains
 from rig.parts.sine_lines import separated
-from rig.parts.sines import SineRecords, Sines
+from rig.parts.sine_records import SineRecords
+from rig.parts.sines import Sines
 
 
 def _evidence(data: SineRecords) -> Evidence:

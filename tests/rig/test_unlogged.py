@@ -82,7 +82,8 @@ def test_a_scale_that_went_with_an_unlogged_temperature_is_not_blamed_on_it_and_
 def test_an_own_turntable_run_without_a_thermometer_offers_nothing_of_temperature() -> None:
     run = fast_bench.measure({"procedure": "turntable", "all": True}, fast_bench.world(11, []))
     made = evidence_of([run])
-    (part,) = made.turnings
+    (part,) = made.parts
+    assert isinstance(part, Turning)
     assert {*OF_TEMPERATURE, "supply_ratio"} <= offered(made)
     without = Turning(replace(part.data, temperature=np.full_like(part.data.temperature, np.nan)))
     less = replace(made, parts=(without,))

@@ -1,14 +1,16 @@
-"""Imported runs as parts of a fit: one way in for every kind of foreign data."""
+"""Imported runs as parts of a fit: one reader for every kind of foreign data."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
+from rig.archive.records import Recorded
 from rig.errors import BadInput
-from rig.foreign.tables import Foreign
+from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
 from rig.parts import nuisances
 from rig.parts.following import Following, FollowRecords
@@ -17,42 +19,47 @@ from rig.parts.poses import Posed
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.motion import motions, rotations
 from rig.parts.reading.poses import posed
-from rig.parts.reference_gain import channels_beside, gains_of
-from rig.parts.response import Responding, ResponseTable, responses
-from rig.parts.sines import SineRecords, Sines
+from rig.parts.reading.reading import Reading
+from rig.parts.reading.response import responses
+from rig.parts.reference_gain import channels_beside, gains_of, shared
+from rig.parts.response import Responding, ResponseTable
+from rig.parts.sine_records import SineRecords
+from rig.parts.sines import Sines
 
 D = TypeVar("D", ResponseTable, FollowRecords, SineRecords)
 
 
-def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
-    """Parts of an imported run, and what is known of its reference only within an uncertainty.
+def read(runs: Sequence[Recorded]) -> Reading:
+    """The imported ones among these runs."""
+    found = Reading.joined(reading_of(foreign_of(run)) for run in runs if is_foreign(run))
+    return replace(found, known=tuple(shared(found.known)))
 
-    Raises BadInput for data of a kind that no model can be compared with.
-    """
+
+def reading_of(foreign: Foreign) -> Reading:
+    """An imported run. Raises BadInput for data of a kind that no model can be compared with."""
     _refuse_standing_clocks(foreign)
-    parts, known = _read(foreign)
-    return parts, [*known, *gains_of(foreign, [part.name for part in parts])]
+    kind = foreign.manifest.kind
+    if kind not in KINDS:
+        wanted = f"wanted one with motion (its noise: `rig show {foreign.run}`)"
+        raise BadInput(f"{foreign.run}: found a {kind} record, {wanted}")
+    found = KINDS[kind](foreign)
+    return replace(found, known=(*found.known, *gains_of(foreign, [part.name for part in found.parts])))
 
 
-def _read(foreign: Foreign) -> tuple[list[Part], list[Term]]:
-    match foreign.manifest.kind:
-        case "response":
-            return [Responding(_beside(foreign, data)) for data in responses(foreign)], []
-        case "rotation":
-            turned = _beside(foreign, rotations(foreign))
-            known = nuisances.of_track(max(turned.bands))
-            return [Following(turned)], [*known, *([] if turned.channels.rates.all() else _standing(foreign, turned))]
-        case "motion":
-            moved = _beside(foreign, motions(foreign))
-            return [Following(moved)], nuisances.of_track(max(moved.bands))
-        case "sweep":
-            return [Sines(_beside(foreign, data)) for data in sweeps(foreign)], []
-        case "poses":
-            return [Posed(data) for data in posed(foreign)], []
-        case kind:
-            raise BadInput(
-                f"{foreign.run}: found a {kind} record, wanted one with motion (its noise: `rig show {foreign.run}`)"
-            )
+def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
+    """Its parts, and what is known of its reference only within an uncertainty. Raises BadInput as `reading_of`."""
+    found = reading_of(foreign)
+    return list(found.parts), list(found.known)
+
+
+def _response(foreign: Foreign) -> Reading:
+    return Reading(tuple(Responding(_beside(foreign, data)) for data in responses(foreign)))
+
+
+def _rotation(foreign: Foreign) -> Reading:
+    turned = _beside(foreign, rotations(foreign))
+    standing = [] if turned.channels.rates.all() else _standing(foreign, turned)
+    return Reading((Following(turned),), (*nuisances.of_track(max(turned.bands)), *standing))
 
 
 def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
@@ -66,9 +73,17 @@ def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
     return [*lies, *nuisances.of_place(turned.axis, turned.radius, prior)]
 
 
-def _beside(foreign: Foreign, data: D) -> D:
-    """Records whose channels' tolerances say nothing of a reference that is not well known itself."""
-    return replace(data, channels=channels_beside(foreign, data.channels))
+def _motion(foreign: Foreign) -> Reading:
+    moved = _beside(foreign, motions(foreign))
+    return Reading((Following(moved),), tuple(nuisances.of_track(max(moved.bands))))
+
+
+def _sweep(foreign: Foreign) -> Reading:
+    return Reading(tuple(Sines(_beside(foreign, data)) for data in sweeps(foreign)))
+
+
+def _poses(foreign: Foreign) -> Reading:
+    return Reading(tuple(Posed(data) for data in posed(foreign)))
 
 
 def _refuse_standing_clocks(foreign: Foreign) -> None:
@@ -79,3 +94,13 @@ def _refuse_standing_clocks(foreign: Foreign) -> None:
         if len(known) < 2 or not known[-1] > known[0]:
             where = f"{foreign.run} {table.label}".strip()
             raise BadInput(f"{where}, time: found stamps that do not go forward, wanted each later than the one before")
+
+
+def _beside(foreign: Foreign, data: D) -> D:
+    """Records whose channels' tolerances say nothing of a reference that is not well known itself."""
+    return replace(data, channels=channels_beside(foreign, data.channels))
+
+
+KINDS: Mapping[str, Callable[[Foreign], Reading]] = {
+    "response": _response, "rotation": _rotation, "motion": _motion, "sweep": _sweep, "poses": _poses,
+}  # fmt: skip

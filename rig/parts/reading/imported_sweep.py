@@ -26,7 +26,7 @@ from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.reading.shaker_distortion import shaker_remarks
 from rig.parts.sine_lines import Separated, density, drive_clock, mains_seen, separated, slow_noise, taken
-from rig.parts.sines import LINES, Leftover, SineRecords, directions
+from rig.parts.sine_records import LINES, Leftover, SineRecords, directions
 from rig.signals import tone
 
 Array = NDArray[np.float64]

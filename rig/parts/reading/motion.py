@@ -18,7 +18,7 @@ from rig.parts.following import FollowRecords, spun_force, spun_up
 from rig.parts.reading.conditions import smoothed
 from rig.parts.reading.poses import signed
 from rig.parts.reading.shared_lines import shared_lines
-from rig.parts.turning import Shown
+from rig.parts.reference_motion import Shown
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.signals.pose_track import PoseTrack, pose_track
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.foreign.tables import Foreign
 from rig.motion import ORDERS
-from rig.parts.sines import SineRecords
+from rig.parts.sine_records import SineRecords
 from rig.signals import tone
 
 Array = NDArray[np.float64]

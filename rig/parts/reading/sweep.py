@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics
+from rig.foreign.tables import is_foreign
 from rig.motion import ORDERS
+from rig.parts import nuisances
 from rig.parts.channels import channels_of
+from rig.parts.ranges import beyond_range
 from rig.parts.reading.conditions import smoothed
+from rig.parts.reading.reading import Reading
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
 from rig.parts.sine_lines import LIMIT, density, slow_noise, taken
-from rig.parts.sines import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
+from rig.parts.sine_records import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
+from rig.parts.sines import Sines
 from rig.signals import tone
 from rig.signals.spectrum import Density
 
@@ -47,10 +52,23 @@ class _Record:
     outliers: tuple[float, float]
 
 
+def read(runs: Sequence[Recorded]) -> Reading:
+    """Every sweep of the rig's own runs."""
+    own = [run for run in runs if not is_foreign(run)]
+    parts = [(run, Sines(data)) for run in own for data in shaken(run)]
+    for run, part in parts:
+        part.notes = (*part.notes, *beyond_range(run, part))
+    swept = [one for run in own for one in _swept(run)]
+    return Reading(tuple(part for _, part in parts), tuple(nuisances.of_shaker(swept)) if parts else ())
+
+
+def _swept(records: Recorded) -> list[Recorded]:
+    return [one for one in experiments(records) if any("frequency" in body for body in one.points.values())]
+
+
 def shaken(records: Recorded) -> list[SineRecords]:
     """Every sweep of a run, each a mounting; [] for a run that has none. Raises BadInput as `sines` does."""
-    swept = [one for one in experiments(records) if any("frequency" in body for body in one.points.values())]
-    return [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(swept)]
+    return [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(_swept(records))]
 
 
 def _sweep(records: Recorded, name: str) -> SineRecords:

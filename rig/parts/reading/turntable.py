@@ -13,11 +13,17 @@ from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, experiments, mounts, reference
 from rig.errors import BadInput
+from rig.foreign.tables import is_foreign
 from rig.model import Channels
+from rig.parts import nuisances
 from rig.parts.channels import channels_of
+from rig.parts.ranges import beyond_range
 from rig.parts.reading.conditions import smoothed
+from rig.parts.reading.reading import Reading
 from rig.parts.reading.revolutions import SLOWEST, mount_of
-from rig.parts.turning import HIGHEST_RATE, Shown, TurnRecords, stretches_of
+from rig.parts.reference_motion import Shown
+from rig.parts.turn_records import TurnRecords, stretches_of
+from rig.parts.turning import HIGHEST_RATE, Turning
 from rig.signals import noise
 from rig.signals.encoder import LINES
 from rig.signals.rotation import Edges, Track, edges_of, encoder_settings
@@ -53,6 +59,17 @@ class _Record:
     ends: tuple[float, float]  # angle before the first and after the last line, NaN if unknown
     clipped: Mapping[str, int]
     notes: tuple[str, ...] = ()
+
+
+def read(runs: Sequence[Recorded]) -> Reading:
+    """Every turntable run of the rig's own."""
+    own = [run for run in runs if not is_foreign(run)]
+    parts = [(run, Turning(data)) for run in own for data in spun(run)]
+    for run, part in parts:
+        part.notes = (*part.notes, *beyond_range(run, part))
+    done = [one for run in own for one in experiments(run)]
+    turned = [one for one in done if any("phase" in body for body in one.points.values())]
+    return Reading(tuple(part for _, part in parts), tuple(nuisances.of_turntable(turned)) if parts else ())
 
 
 def spun(records: Recorded) -> list[TurnRecords]:

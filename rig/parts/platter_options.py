@@ -1,0 +1,54 @@
+"""Turntable runs that the bench could do next, as they would be recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from rig.motion import Array
+from rig.parts.part import Option, Part
+from rig.parts.turn_records import TurnRecords
+
+MINUTES_MOUNT = 4.0  # of an operator: mount, cables
+
+
+def options(data: TurnRecords, make: Callable[[TurnRecords], Part]) -> Iterator[Option]:
+    """Turntable runs that the bench can do: again, at another radius, turned, with another axis up, later."""
+    axis = ["yaw", "pitch", "roll"][int(np.argmax(np.abs(data.up[[1, 2, 0], 0])))]
+    radius = float(data.radius[0])
+    wider = 0.1 if radius < 0.08 else 0.05
+    minutes = MINUTES_MOUNT + data.observed.shape[1] * data.interval / 60.0
+    run = {"procedure": "turntable", "axis": axis, "all": True}
+    yield Option("repeat", "more of the same", minutes, run, lambda: make(data))
+    yield Option(
+        "second radius", "what follows the centripetal force parts from what follows the rate squared", minutes,
+        {**run, "radius": f"{wider * 1000:g} mm"},
+        lambda: make(replace(data, radius=np.full_like(data.radius, wider))),
+    )  # fmt: skip
+    yield Option(
+        "turned by 90°", "radial and tangential axes change places", minutes, {**run, "angle": "90°"},
+        lambda: make(replace(data, outward=_turned(data, 1), tangent=_turned(data, 2))),
+    )  # fmt: skip
+    for other in [one for one in ("yaw", "pitch", "roll") if one != axis]:
+        yield Option(
+            f"{other} up", "another gyro takes the rate, another axis gravity", minutes, {**run, "axis": other},
+            lambda other=other, axis=axis: make(_reaxed(data, axis, other)),  # type: ignore[misc]
+        )  # fmt: skip
+    later = {"title": "The same run fifteen minutes later", "steps": [{"wait": "900 s"}, run]}
+    shifted = replace(data, time=data.time + 900.0, temperature=data.temperature + 2.0)
+    yield Option("later", "temperature, supply and time since power-up part", minutes + 15.0, later,
+                 lambda: make(shifted))  # fmt: skip
+
+
+def _turned(data: TurnRecords, which: int) -> Array:
+    """Outward (1) or tangent (2) of a cube turned by a right angle about the platter's axis."""
+    return data.tangent * -1.0 if which == 1 else data.outward
+
+
+def _reaxed(data: TurnRecords, axis: str, other: str) -> TurnRecords:
+    """The same run with another gyro axis on the platter's: case axes in cyclic order."""
+    place = {"roll": 0, "yaw": 1, "pitch": 2}
+    shift = (place[other] - place[axis]) % 3
+    return replace(data, **{name: np.roll(getattr(data, name), shift, axis=0) for name in ("outward", "tangent", "up")})

@@ -1,0 +1,40 @@
+"""Runs as parts of a fit: one reader for every kind of experiment, the rig's own and imported ones alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from rig.archive.records import Recorded
+from rig.foreign.tables import foreign_of, is_foreign
+from rig.parts.reading import imported, sweep, turntable
+from rig.parts.reading.reading import Reading
+
+Reader = Callable[[Sequence[Recorded]], Reading]
+READERS: tuple[Reader, ...] = (sweep.read, turntable.read, imported.read)
+"""Each takes of the runs what it can read. A new kind of experiment adds one here, or to `imported.KINDS`."""
+
+
+def read(runs: Sequence[Recorded]) -> Reading:
+    """Everything in these runs that a model can be compared with. Raises BadInput as the readers do."""
+    return Reading.joined(reader(runs) for reader in READERS)
+
+
+def all_imported(runs: Sequence[Recorded]) -> bool:
+    """Whether somebody else measured all of them."""
+    return all(is_foreign(run) for run in runs)
+
+
+def same_unit(run: Recorded, other: Recorded) -> bool:
+    """Whether two runs are of one unit; imported ones only name its serial number."""
+    mine, its = run.header["sensor"], other.header["sensor"]
+    if is_foreign(run) or is_foreign(other):
+        return bool(mine["serial"] == its["serial"])
+    return bool(mine == its)
+
+
+def remarks(run: Recorded) -> Iterator[str]:
+    """What is to be said of a run's records as a whole."""
+    if run.status != "completed":
+        yield f"{run.name} is {run.status}: not every point of it was measured"
+    if is_foreign(run):
+        yield from foreign_of(run).found

@@ -81,7 +81,9 @@ class Settings(BaseModel):
     gateway: str | None = None
     timeout: Time = Field(default=3.0, gt=0, le=60)
     backend: str = "@py"
-    names: tuple[str, str, str, str] = ("ldv", "unit_a_x", "unit_a_y", "unit_a_z")
+    names: tuple[str, str, str, str] | None = Field(
+        default=None, description="what its channels see; as the bench wires it unless stated"
+    )
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,8 @@ class HP54542A:
     """Simultaneous recorder of four channels."""
 
     def __init__(self, link: VisaLink, settings: Settings, room: Room) -> None:
-        self._link, self._names, self._room = link, settings.names, room
+        self._link, self._room = link, room
+        self._names = settings.names or tuple(f"channel {number}" for number in CHANNELS)
         self._duration = 0.0
         self._windows: tuple[Window, ...] = ()
 

@@ -38,10 +38,9 @@ from rig.units import Frequency, Time
 
 VERSION = 1
 SAMPLE, IDENTIFY, SET_RATE, START, STOP, SELF_TEST, ANSWER = 0x01, 0x10, 0x11, 0x12, 0x13, 0x14, 0x80
-CHANNELS: tuple[str, ...] = (
-    *(f"unit_{unit}_{axis}" for unit in "abc" for axis in "xyz"),
-    *(f"{kind}_{axis}" for kind in ("gyro", "backup") for axis in ("pitch", "roll", "yaw")),
-)
+VALUES = 15
+"""In a frame: units A, B, C x y z, gyros pitch roll yaw, backup gyros pitch roll yaw."""
+
 LOWEST_RATE, HIGHEST_RATE = 50, 1500  # Hz
 STATUS = ("done", "unknown command", "bad parameter", "refused while streaming", "failed")
 LONGEST_FRAME = 512
@@ -284,6 +283,16 @@ class Settings(BaseModel):
     model: str = "Sensor Cube"
     timeout: Time = Field(default=0.5, gt=0, description="silence before an answer is missing")
     attempts: int = Field(default=3, ge=1, le=20, description="times a command is sent before it counts as lost")
+    names: tuple[str, ...] | None = Field(
+        default=None, description="of the values in a frame; the sensor file's channels if they are as many"
+    )
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the values: nothing is claimed of them where there are not as many names."""
+        if self.names is not None and len(self.names) == VALUES:
+            return self.names
+        return tuple(f"value {number}" for number in range(1, VALUES + 1))
 
 
 @dataclass
@@ -469,10 +478,10 @@ class SensorCube:
         record.rows = record.rows[len(taken) :]
         begin, record.next_sequence = record.next_sequence, end
         bad, record.bad_before = self._parser.bad - record.bad_before, self._parser.bad
-        columns = np.array([row[2].counts for row in taken], np.uint16).reshape(-1, len(CHANNELS))
+        columns = np.array([row[2].counts for row in taken], np.uint16).reshape(-1, VALUES)
         device, arrival = np.array(record.arrivals, float).reshape(-1, 2).T
         return CubeSamples(
-            names=CHANNELS,
+            names=self._settings.channels,
             counts=columns,
             sequence=np.array([row[0] for row in taken], np.int64),
             device_us=np.array([row[1] for row in taken], np.int64),

@@ -85,7 +85,7 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
     if not mistakes:
         sines = list(_sines(settings, facts))
         mistakes += _limit_mistakes(settings, facts, sines)
-    expect = settings.expect.sensitivity
+    expect, plug = settings.expect.sensitivity, facts.plugs.get(settings.axis)
     return Plan(
         procedure=settings.procedure,
         title=settings.title or f"Frequency sweep, {settings.axis}",
@@ -97,7 +97,7 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
             *_rest(settings, "after"),
         ),
         mistakes=tuple(mistakes),
-        expect={} if expect is None else {f"unit_a_{settings.axis}.sensitivity": expect.within},
+        expect={} if expect is None or plug is None else {f"{plug.channel}.sensitivity": expect.within},
     )
 
 
@@ -187,10 +187,10 @@ def _set_up(settings: Settings, facts: BenchFacts) -> Iterator[Step]:
         yield SetFilter("filter", cutoff=facts.filter_cutoff, verify="analyzer" in facts.has, duration=30)
     card = f"Mount the cube on the shaker with {axis} along the drive and {UP[axis]} up."
     yield Ask("mount", request=Request("mount_on_shaker", card, {"axis": axis}), duration=60)
-    if "analyzer" in facts.has:
-        card = f"Connect analyzer input 2 to unit A {axis}."
-        signal = f"unit_a_{axis}"
-        yield Ask("plug", request=Request("plug_analyzer", card, {"input": 2, "signal": signal}), duration=10)
+    plug = facts.plugs.get(axis)
+    if "analyzer" in facts.has and plug is not None:
+        card = f"Connect analyzer input 2 to {plug.title}."
+        yield Ask("plug", request=Request("plug_analyzer", card, {"input": 2, "slot": plug.slot}), duration=10)
     yield AlignBeam("beam", duration=20)
 
 
@@ -226,6 +226,9 @@ def _setting_mistakes(settings: Settings, facts: BenchFacts) -> Iterator[Mistake
         yield Mistake(("procedure",), f"found no {missing} on this bench, wanted one for a sweep")
     if settings.expect.sensitivity and settings.expect.sensitivity.within[0] >= settings.expect.sensitivity.within[1]:
         yield Mistake(("expect", "sensitivity", "within"), "found limits in the wrong order, wanted [lower, upper]")
+    if settings.expect.sensitivity and settings.axis not in facts.plugs:
+        axes = ", ".join(facts.plugs) or "none"
+        yield Mistake(("expect", "sensitivity"), f"found no accelerometer along {settings.axis}, wanted one of {axes}")
 
 
 def _wider_than_bench(settings: Settings, facts: BenchFacts) -> Iterator[Mistake]:

@@ -32,6 +32,18 @@ class Channel:
 
 
 @dataclass(frozen=True)
+class Wires:
+    """What the cables call the bench's own signals: the vibrometer, the supply and the thermometer of the unit.
+
+    A bench file may call them otherwise under `signals`.
+    """
+
+    reference: str = "ldv"
+    supply: str = "supply"
+    temperature: str = "temperature"
+
+
+@dataclass(frozen=True)
 class Timing:
     """When a scanning converter samples: channel k of scan n is converted at (n·channels + k)·convert_period.
 

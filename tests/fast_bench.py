@@ -302,8 +302,8 @@ class Analyzer:
 class Scope:
     """Four channels at the same instants, coarser than the bench's: see `rig.bench.roles.Scope`."""
 
-    def __init__(self, world: World) -> None:
-        self._world, self._names = world, tuple(world.scope_inputs)
+    def __init__(self, world: World, names: tuple[str, ...]) -> None:
+        self._world, self._names = world, names
         self._duration, self._ranges = 0.5, [(40.0, 0.0)] * 4
 
     def identify(self) -> Identity:
@@ -326,7 +326,7 @@ class Scope:
         interval = self._duration / SCOPE_POINTS
         instants = np.asarray(self._world.now + np.arange(SCOPE_POINTS) * interval, np.float64)
         self._world.advance(self._duration)
-        volts = np.array(self._world.volts(self._names, [instants] * len(self._names)))
+        volts = np.array(self._world.volts(self._world.scope_inputs, [instants] * len(self._names)))
         for row, (full, offset) in zip(volts, self._ranges, strict=True):
             np.clip(row, offset - 0.5 * full, offset + 0.5 * full, out=row)
         return Traces(self._names, volts, 0.0, interval, (0,) * len(self._names))
@@ -539,7 +539,7 @@ def _instrument(role: str, fitting: Fitting, world: World, room: Room, recorder:
         case "analyzer":
             return Analyzer(world)
         case "scope":
-            return Scope(world)
+            return Scope(world, fitting.settings.names)
         case "filter" | "encoder" | "turntable":
             return fitting.module.connect(role, fitting.settings, room)
     raise ValueError(f"found a bench with a {role}, wanted one without")

@@ -18,7 +18,7 @@ from rig import units
 from rig.archive.journal import Entry
 from rig.archive.reader import Run
 from rig.errors import BadInput, StandardOverdue
-from rig.record import Channel, CubeSamples, Samples, Timing
+from rig.record import Channel, CubeSamples, Samples, Timing, Wires
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
 OF_A_STEP = ("step", "point", "repeated", "prepared")  # lines that name a step by its index
@@ -144,6 +144,12 @@ def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) ->
         first_scan=first,
         flags=frozenset(meta["flags"]),
     )
+
+
+def wires_of(records: Recorded) -> Wires:
+    """What the run's cables called the bench's own signals."""
+    stated: Mapping[str, str] = records.header["bench_file"].get("signals") or {}
+    return Wires(**stated)
 
 
 def signals_of(records: Recorded, body: Mapping[str, Any]) -> Signals | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -52,10 +52,17 @@ def fittings(description: BenchDescription) -> dict[str, Fitting]:
         fitting, wrong = _fitting(document, role, description.file.instruments[role])
         problems += wrong
         if fitting is not None:
-            found[role] = fitting
+            found[role] = replace(fitting, settings=_named(role, fitting.settings, description))
     if problems:
         raise ConfigError(problems)
     return found
+
+
+def _named(role: str, settings: Any, description: BenchDescription) -> Any:
+    """Settings with the names of a recorder's inputs, as the bench wires them where its entry gives none."""
+    if "names" not in type(settings).model_fields or settings.names is not None:
+        return settings
+    return settings.model_copy(update={"names": description.inputs(role)})
 
 
 def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[Fitting | None, list[Problem]]:

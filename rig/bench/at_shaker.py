@@ -105,7 +105,7 @@ def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
         captured = _in_range(step, station, 1.2 * velocity / scale)  # at most 7.4 V of the 7.9 V that input 1 takes
         after = _trusted(station)
     with station.watch("analysis"):
-        volts = _reference_volts(step, captured)
+        volts = _reference_volts(step, captured, station.description.wires.reference)
     return {
         "frequency": step.frequency,
         "level": step.level,
@@ -199,13 +199,13 @@ def _trusted(station: Station) -> Any:
     return station.vibrometer.check(require=True)
 
 
-def _reference_volts(step: Sine, captured: Captured) -> float:
+def _reference_volts(step: Sine, captured: Captured, name: str) -> float:
     """Amplitude of the reference channel at the driven frequency, V."""
     samples, traces = captured.samples, captured.traces
     if samples is not None:
-        return _amplitude(samples.instants("ldv"), samples.volts("ldv"), step.frequency)
+        return _amplitude(samples.instants(name), samples.volts(name), step.frequency)
     if traces is not None:
-        return _amplitude(traces.instants(), traces.volts[traces.names.index("ldv")], step.frequency)
+        return _amplitude(traces.instants(), traces.volts[traces.names.index(name)], step.frequency)
     raise VerdictNotMet(f"{step.label}: found no record of the reference, wanted the converter or the oscilloscope")
 
 

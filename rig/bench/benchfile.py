@@ -11,9 +11,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rig import units
-from rig.bench.steps import BenchFacts, Limits
+from rig.bench.steps import BenchFacts, Limits, Plug
 from rig.errors import ConfigError, StandardOverdue
-from rig.sensor import Sensor
+from rig.record import Wires
+from rig.sensor import AXES, Sensor
 from rig.units import Acceleration, Angle, Frequency, Length, PeakVoltage, Ratio, Velocity, Voltage
 from rig.yaml import config
 
@@ -193,6 +194,14 @@ class SensorFile(Strict):
         return name
 
 
+class SignalFile(Strict):
+    """What the cables call the bench's own signals; the tag and the encoder's are settings of their drivers."""
+
+    reference: str = Field(default=Wires.reference, min_length=1, description="the vibrometer's velocity")
+    supply: str = Field(default=Wires.supply, min_length=1, description="supply of the unit, V")
+    temperature: str = Field(default=Wires.temperature, min_length=1, description="at the unit, 10 mV/K from 0 °C")
+
+
 class BenchFile(Strict):
     """A bench as its YAML file describes it; quantities are SI."""
 
@@ -209,8 +218,9 @@ class BenchFile(Strict):
     limits: LimitFile
     filter_cutoff: Frequency = Field(default=5000.0, gt=0)
     alignment: AlignmentFile | None = Field(default=None, description="limits that a calibration's budget uses")
-    instruments: dict[Role, dict[str, str | float | int | bool | dict[str, str]]]
+    instruments: dict[Role, dict[str, str | float | int | bool | tuple[str, ...] | dict[str, str]]]
     cables: dict[Literal["shaker", "turntable"], tuple[str, ...]]
+    signals: SignalFile = SignalFile()
 
 
 @dataclass(frozen=True)
@@ -235,6 +245,37 @@ class BenchDescription:
         """A path written in the bench file, relative to the file."""
         return (self.path.parent / relative).resolve()
 
+    @property
+    def wires(self) -> Wires:
+        """What the cables call the bench's own signals."""
+        return Wires(**self.file.signals.model_dump())
+
+    def inputs(self, role: str) -> tuple[str, ...] | None:
+        """Names of a recorder's inputs where its entry gives none; None for a recorder on the cables, or unknown.
+
+        The oscilloscope sees the reference and the primary unit's x, y, z; the cube's own frames carry as many values
+        as the sensor file has channels, in its order, or they are not known.
+        """
+        unit = self.unit
+        if role == "cube":
+            return unit.names
+        if role == "scope" and unit.primary is not None:
+            axes = {axis: unit.primary.along(axis) for axis in AXES}
+            return (self.wires.reference, *(f"spare {axis}" if one is None else one.name for axis, one in axes.items()))
+        return None
+
+    def plugs(self) -> dict[str, Plug]:
+        """Where the analyzer's input 2 goes for each driven axis: to a channel of the shaker cables, primary first."""
+        cables, unit = self.file.cables.get("shaker", ()), self.unit
+        found: dict[str, Plug] = {}
+        for axis in AXES:
+            channels = [one for one in unit.along(axis) if one.name in cables]
+            channels.sort(key=lambda one: unit.primary is None or one.triad != unit.primary.name)
+            if channels:
+                title = f"{unit.triad_of(channels[0].name).title} {axis}"
+                found[axis] = Plug(channels[0].name, title, cables.index(channels[0].name))
+        return found
+
     def facts(self) -> BenchFacts:
         """What procedures may know before anything is connected."""
         limits, shaker = self.file.limits, self.file.shaker
@@ -247,6 +288,7 @@ class BenchDescription:
             full_acceleration=shaker.full_acceleration,
             filter_cutoff=self.file.filter_cutoff,
             has=frozenset(self.file.instruments),
+            plugs=self.plugs(),
         )
 
     def overdue(self, now: float) -> list[Standard]:

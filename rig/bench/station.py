@@ -189,12 +189,12 @@ class Station:
 
     def conditions(self, samples: Samples) -> dict[str, float]:
         """Supply (V) and temperature (°C) while the record was taken, from its own channels."""
-        found = {}
+        found, wires = {}, self.description.wires
         names = {channel.name for channel in samples.channels}
-        if "supply" in names:
-            found["supply"] = float(samples.volts("supply").mean())
-        if "temperature" in names:
-            found["temperature"] = float(samples.volts("temperature").mean() / 0.010)
+        if wires.supply in names:
+            found["supply"] = float(samples.volts(wires.supply).mean())
+        if wires.temperature in names:
+            found["temperature"] = float(samples.volts(wires.temperature).mean() / 0.010)
         return found
 
 

@@ -109,11 +109,21 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Plug:
+    """A channel that the analyzer can be plugged to: as the operator is told, and its place on the shaker cables."""
+
+    channel: str
+    title: str
+    slot: int
+
+
+@dataclass(frozen=True)
 class BenchFacts:
     """What a procedure may know about the bench before anything is connected.
 
     `drive_constant`: peak displacement per programmed source volt, m/V (paper eq. 3), nominal. `scan_rate`: Hz per
     channel that the converter gives. `mains` Hz. `full_stroke` m and `full_acceleration` m/s² define the full level.
+    `plugs`: for each driven axis the sensor that the analyzer's input 2 should see.
     """
 
     limits: Limits
@@ -124,6 +134,7 @@ class BenchFacts:
     full_acceleration: float
     filter_cutoff: float
     has: frozenset[str]
+    plugs: Mapping[str, Plug] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, experiments, mounts, reference, signals
+from rig.archive.records import Recorded, experiments, mounts, reference, signals, wires_of
 from rig.calibrate import accelerometers, gyros, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.budget import Budget, Contribution, half_width
@@ -412,8 +412,8 @@ class _Turned:
             phases = {body["phase"] for body in records.points.values() if "phase" in body}
             if phases and ("hold" in phases or records.status == "completed"):  # an interrupted one may not have held
                 self._setup = self._setup or self._made(records)
-                wired = records.header["bench_file"]["cables"]["turntable"]
-                channels = [c for c in wired if c in bench.sensor or c == "supply"]
+                wired, supply = records.header["bench_file"]["cables"]["turntable"], wires_of(records).supply
+                channels = [c for c in wired if c in bench.sensor or c == supply]
                 rotation = rotation_of(records, channels, bench.sensor)
                 self._rotations.setdefault(rotation.blocks[0].mount.axis, []).append(rotation)
         if self._setup is not None:
@@ -443,6 +443,7 @@ class _Turned:
             temperature=self._bench.temperature,
             ratiometric={c.name: c.ratiometric for c in channels if c.ratiometric is not None},
             drift={c.name: c.drift for c in channels if c.drift is not None},
+            supply=wires_of(records).supply,
         )
 
     def results(self) -> Iterator[Result]:

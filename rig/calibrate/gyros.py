@@ -24,6 +24,7 @@ from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
 from rig.errors import BadInput
 from rig.parts.reading.revolutions import AXES, Blocks, Rotation
+from rig.record import Wires
 from rig.signals.line import Solution, gls
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ class Setup:
 
     `tilt` limit of the angle between sensitive and platter axis (rad), `radius` limit of the radius's error (m);
     `temperature` (mean, lowest, highest, °C); `ratiometric` nominal supply (V) of parts whose output follows it, by
-    channel; `drift` declared temperature coefficients, 1/K, by channel.
+    channel; `drift` declared temperature coefficients, 1/K, by channel; `supply` what the cables call it.
     """
 
     time_base: Reference
@@ -46,6 +47,7 @@ class Setup:
     temperature: tuple[float, float, float] | None
     ratiometric: Mapping[str, float]
     drift: Mapping[str, float]
+    supply: str = Wires.supply
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def _at_nominal_supply(blocks: Blocks, channel: str, setup: Setup) -> Array:
     """Volts as they would be at the nominal supply, for a part that is declared ratiometric (the paper's eq. 11)."""
     nominal = setup.ratiometric.get(channel)
     volts = blocks.volts[channel]
-    return volts if nominal is None else np.asarray(volts * nominal / blocks.volts["supply"])
+    return volts if nominal is None else np.asarray(volts * nominal / blocks.volts[setup.supply])
 
 
 def _force(blocks: Blocks, cube_axis: int, gravity: float) -> Array:

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, signals_of
+from rig.archive.records import Recorded, signals_of, wires_of
 from rig.calibrate.calibration import PaperRow
 from rig.errors import BadInput
 from rig.parts.reading.vibration import SinePoint
@@ -131,10 +131,13 @@ def held(edges: Edges, count: int, sign: float = 1.0) -> Held:
     return Held(edges.times[count:], rates, float(edges.times[-1]))
 
 
-def volts_about_zero(samples: Samples, gyro: SensorChannel) -> Array:
-    """Output of a gyro about its nominal zero, V, shape (n,): V_R of eq. 11 for a ratiometric part."""
+def volts_about_zero(samples: Samples, gyro: SensorChannel, supply: str) -> Array:
+    """Output of a gyro about its nominal zero, V, shape (n,): V_R of eq. 11 for a ratiometric part.
+
+    `supply` is what the cables call it.
+    """
     if gyro.ratiometric:
-        return v_r(samples.volts(gyro.name), samples.volts("supply"))
+        return v_r(samples.volts(gyro.name), samples.volts(supply))
     return samples.volts(gyro.name) - NOMINAL_ZERO
 
 
@@ -161,7 +164,7 @@ def gyro_rows(records: Recorded, sensor: Sensor) -> list[PaperRow]:
         for samples in records.pieces(body["samples"]):
             recorded = {channel.name for channel in samples.channels}
             wired = [gyro for gyro in gyros if gyro.name in recorded]
-            _gather(found, samples, wired, references, body["phase"] == "hold")
+            _gather(found, samples, wired, references, wires_of(records).supply, body["phase"] == "hold")
     return [row for (name, count), one in found.items() for row in _rows(name, count, one, sensor)]
 
 
@@ -214,11 +217,12 @@ def _gather(
     samples: Samples,
     gyros: Iterable[SensorChannel],
     references: Mapping[int, Held],
+    supply: str,
     hold: bool,
 ) -> None:
     """Add one stretch of a record to the estimates of every channel and reference."""
     for gyro in gyros:
-        instants, volts = samples.instants(gyro.name), volts_about_zero(samples, gyro)
+        instants, volts = samples.instants(gyro.name), volts_about_zero(samples, gyro, supply)
         for count, reference in references.items():
             inside, rate = reference.at(instants)
             if not len(rate):

@@ -112,8 +112,10 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
 @click.option(
     "--out", cls=Carried, type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>]."
 )
-@click.option("--unit", cls=Carried, default="unit_a", show_default=True, help="Accelerometer triad.")
-@click.option("--gyro", cls=Carried, default="gyro", show_default=True, help="Gyro triad: gyro or backup.")
+@click.option(
+    "--unit", cls=Carried, metavar="UNIT", help="Accelerometers, as the sensor file calls them [default: the primary]."
+)
+@click.option("--gyro", cls=Carried, metavar="UNIT", help="Gyros, as the sensor file calls them [default: the first].")
 @click.option(
     "--rate", cls=Carried, type=float, help="Samples per second of the robot: messages (Kalibr), records (a model)."
 )
@@ -145,8 +147,8 @@ def export(
     name: str | None,
     format: str,
     out: Path | None,
-    unit: str,
-    gyro: str,
+    unit: str | None,
+    gyro: str | None,
     rate: float | None,
     topic: str,
     assume: tuple[str, ...],

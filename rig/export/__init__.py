@@ -18,7 +18,7 @@ from rig.calibrate.calibration import Calibration, path_of
 from rig.correction.correction import Correction
 from rig.errors import BadInput
 from rig.export import c_header, hdf5, kalibr, matlab, model_module, python_module, ros2, table
-from rig.export.selection import Choice
+from rig.export.selection import Choice, chosen
 
 Files = Mapping[str, bytes]
 
@@ -51,20 +51,24 @@ def write(
     format: str,
     folder: Path,
     *,
-    unit: str = "unit_a",
-    gyros: str = "gyro",
+    unit: str | None = None,
+    gyros: str | None = None,
     rate: float | None = None,
     topic: str = "/imu0",
     assumed: Mapping[str, float] | None = None,
 ) -> list[Path]:
     """Write one format into `folder` and return the files; `rate` (Hz), `topic` and `assumed` are Kalibr's.
 
+    `unit` names the accelerometers and `gyros` the gyros as the sensor file calls their units; without a name the
+    primary ones and the first ones.
+
     Raises BadInput for an unknown format, unit or set of gyros, and for a quantity that the format needs and the
     calibration does not have; ArchiveError if a file cannot be kept. Nothing is written then.
     """
     if format not in FORMATS:
         raise BadInput(f"export --to: found '{format}', wanted one of {', '.join(FORMATS)}")
-    choice = Choice(unit=unit, gyros=gyros, rate=rate, topic=topic, assumed=dict(assumed or {}))
+    triads = chosen(calibration, "acceleration", unit), chosen(calibration, "rate", gyros)
+    choice = Choice(*triads, rate, topic, dict(assumed or {}))
     contents = FORMATS[format].files(calibration, choice)
     stem = _stem(calibration, format)
     with keeping(folder):

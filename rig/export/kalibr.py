@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 
 from rig.calibrate.calibration import Calibration, Result
 from rig.errors import BadInput
-from rig.export.selection import Choice, one_line, provenance, stated, value_of, worst, yaml_float
+from rig.export.selection import Choice, one_line, provenance, stated, value_of, whole, worst, yaml_float
+from rig.sensor import Triad
 
 # key in the file: (measurand, unit in the file, is it the accelerometers')
 KEYS: Mapping[str, tuple[str, str, bool]] = {
@@ -27,9 +28,11 @@ KEYS: Mapping[str, tuple[str, str, bool]] = {
 def files(calibration: Calibration, choice: Choice) -> dict[str, bytes]:
     """The file by suffix; raises BadInput if a noise figure or the rate is missing and none was assumed."""
     _check(choice)
-    lines = [f"# {line}" for line in _header(calibration, choice)]
-    for key in KEYS:
-        lines += ["", *_entry(calibration, choice, key)]
+    accelerometers = whole(calibration, choice.unit, "acceleration")
+    gyros = whole(calibration, choice.gyros, "rate")
+    lines = [f"# {line}" for line in _header(calibration, accelerometers, gyros)]
+    for key, (_, _, linear) in KEYS.items():
+        lines += ["", *_entry(calibration, choice, key, (accelerometers if linear else gyros).names)]
     lines += ["", f"rostopic: {json.dumps(choice.topic)}", f"update_rate: {yaml_float(choice.rate or 0.0)}  # Hz", ""]
     return {".imu.yaml": "\n".join(lines).encode()}
 
@@ -44,17 +47,16 @@ def _check(choice: Choice) -> None:
             raise BadInput(f"export to kalibr: found '{name}' assumed, wanted one of {', '.join(KEYS)}")
 
 
-def _header(calibration: Calibration, choice: Choice) -> list[str]:
+def _header(calibration: Calibration, accelerometers: Triad, gyros: Triad) -> list[str]:
     return [
         *provenance(calibration),
-        f"Accelerometers: {choice.unit}. Gyroscopes: {choice.gyros}. Each value is the worst axis of the three.",
+        f"Accelerometers: {accelerometers.name}. Gyroscopes: {gyros.name}. Each value is the worst axis of the three.",
         "Kalibr takes the noise for white up to half of update_rate; the sensors' output filters cut it off earlier.",
     ]
 
 
-def _entry(calibration: Calibration, choice: Choice, key: str) -> list[str]:
-    measurand, unit, linear = KEYS[key]
-    channels = choice.accelerometers if linear else choice.rotations
+def _entry(calibration: Calibration, choice: Choice, key: str, channels: Sequence[str]) -> list[str]:
+    measurand, unit, _ = KEYS[key]
     if key in choice.assumed:
         return _assumed(calibration, channels, key, choice.assumed[key])
     found = _determined(calibration, channels, key)

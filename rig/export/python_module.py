@@ -17,10 +17,7 @@ from typing import Any
 from rig.calibrate.calibration import Calibration, Result
 from rig.errors import BadInput
 from rig.export.selection import (
-    GYROS,
-    UNITS,
     Choice,
-    channels_of,
     cross_axis,
     is_simulated,
     needed,
@@ -66,12 +63,13 @@ def _template() -> tuple[str, dict[str, str], str]:
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     reasons = {channel: _why_not(calibration, channel) for channel in calibration.channels()}
     usable = [channel for channel, why in reasons.items() if not why]
-    triads = [triad for triad in (*UNITS, *GYROS) if all(channel in usable for channel in channels_of(triad))]
+    sensor = calibration.under_test
+    triads = [one for one in sensor.triads if one.is_whole and all(name in usable for name in one.names)]
     return {
         "PROVENANCE": _provenance(calibration),
         "CHANNELS": {channel: _channel(calibration, channel) for channel in usable},
-        "TRIADS": {triad: list(channels_of(triad)) for triad in triads},
-        "CROSS_AXIS": {triad: cross_axis(calibration, triad) for triad in triads},
+        "TRIADS": {triad.name: list(triad.names) for triad in triads},
+        "CROSS_AXIS": {triad.name: cross_axis(calibration, triad) for triad in triads},
         "UNCERTAINTY": {channel: _uncertainties(calibration, channel) for channel in usable},
         "NOT_DETERMINED": {channel: why for channel, why in reasons.items() if why},
     }

@@ -10,12 +10,17 @@ sensor_msgs/msg/Imu: the variance of the noise at rest on the diagonal, −1 fir
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rig.calibrate.calibration import Calibration
 from rig.errors import BadInput
-from rig.export.selection import Choice, channels_of, cross_axis, needed, provenance, stated, value_of, yaml_float
+from rig.export.selection import Choice, cross_axis, needed, provenance, stated, value_of, whole, yaml_float
+from rig.sensor import Quantity, Triad
 
+MESSAGES: Mapping[Quantity, tuple[str, str]] = {
+    "acceleration": ("linear_acceleration", "V/(m/s^2)"),
+    "rate": ("angular_velocity", "V/(rad/s)"),
+}
 UNKNOWN = [-1.0] + [0.0] * 8  # sensor_msgs/msg/Imu: element 0 is -1 where there is no estimate
 BODY_FROM_CUBE = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0]
 
@@ -30,18 +35,17 @@ FRAME = (
 
 def files(calibration: Calibration, choice: Choice) -> dict[str, bytes]:
     """The file by suffix; raises BadInput if an axis of a measured triad lacks scale, bias or noise."""
-    if not (_measured(calibration, choice.unit) or _measured(calibration, choice.gyros)):
-        raise BadInput(
-            f"calibration {calibration.name}: found no sensitivity of {choice.unit} or {choice.gyros}, "
-            "wanted one of them"
-        )
+    triads = [triad for triad in (choice.unit, choice.gyros) if triad is not None]
+    if not any(_measured(calibration, triad) for triad in triads):
+        names = " or ".join(triad.name for triad in triads) or "any unit"
+        raise BadInput(f"calibration {calibration.name}: found no sensitivity of {names}, wanted one of them")
     comments = [f"# {line}" for line in (*provenance(calibration), *FRAME)]
     body = [f"    {line}" for line in _parameters(calibration, choice)]
     return {".ros2.yaml": "\n".join([*comments, "/**:", "  ros__parameters:", *body, ""]).encode()}
 
 
-def _measured(calibration: Calibration, triad: str) -> bool:
-    return any(calibration.find(f"{channel}.sensitivity") for channel in channels_of(triad))
+def _measured(calibration: Calibration, triad: Triad) -> bool:
+    return any(calibration.find(f"{channel}.sensitivity") for channel in triad.names)
 
 
 def _parameters(calibration: Calibration, choice: Choice) -> Iterator[str]:
@@ -51,23 +55,26 @@ def _parameters(calibration: Calibration, choice: Choice) -> Iterator[str]:
     yield f"simulated: {'true' if calibration.simulated else 'false'}"
     yield f"body_from_cube: {_list(BODY_FROM_CUBE)}"
     yield f"orientation_covariance: {_list(UNKNOWN)}  # the cube measures no orientation"
-    yield from _triad(calibration, "linear_acceleration", choice.unit, "V/(m/s^2)")
-    yield from _triad(calibration, "angular_velocity", choice.gyros, "V/(rad/s)")
+    yield from _triad(calibration, "acceleration", choice.unit)
+    yield from _triad(calibration, "rate", choice.gyros)
 
 
-def _triad(calibration: Calibration, name: str, triad: str, unit: str) -> Iterator[str]:
-    if not _measured(calibration, triad):
-        yield f"{name}_covariance: {_list(UNKNOWN)}  # {triad} was not calibrated"
+def _triad(calibration: Calibration, quantity: Quantity, triad: Triad | None) -> Iterator[str]:
+    name, unit = MESSAGES[quantity]
+    if triad is None or not _measured(calibration, triad):
+        said = "there is none" if triad is None else f"{triad.name} was not calibrated"
+        yield f"{name}_covariance: {_list(UNKNOWN)}  # {said}"
         return
-    channels = channels_of(triad)
-    noise = [value_of(calibration, channel, "deviation") for channel in channels]
+    whole(calibration, triad, quantity)
+    noise = [value_of(calibration, channel, "deviation") for channel in triad.names]
     yield f"{name}_covariance: {_list(_diagonal([u * u for u in noise]))}"
     yield f"{name}:"
-    for line in _numbers(calibration, triad, channels, unit):
+    for line in _numbers(calibration, triad, unit):
         yield f"  {line}"
 
 
-def _numbers(calibration: Calibration, triad: str, channels: Sequence[str], unit: str) -> Iterator[str]:
+def _numbers(calibration: Calibration, triad: Triad, unit: str) -> Iterator[str]:
+    channels = triad.names
     yield f"channels: [{', '.join(json.dumps(channel) for channel in channels)}]"
     for parameter, measurand, its_unit in (("scale", "sensitivity", unit), ("bias", "offset", "V")):
         found = [needed(calibration, channel, measurand) for channel in channels]

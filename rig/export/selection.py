@@ -13,11 +13,7 @@ from datetime import UTC, datetime
 
 from rig.calibrate.calibration import Calibration, Result, text
 from rig.errors import BadInput
-
-AXES = ("x", "y", "z")
-ROTATIONS = ("roll", "yaw", "pitch")  # about x, y, z
-UNITS = ("unit_a", "unit_b", "unit_c")
-GYROS = ("gyro", "backup")
+from rig.sensor import Quantity, Triad
 
 # What a technician runs to determine a measurand that is missing.
 SOURCES: Mapping[str, str] = {
@@ -29,43 +25,61 @@ SOURCES: Mapping[str, str] = {
 }
 
 
+NOUNS: Mapping[Quantity, str] = {"acceleration": "accelerometers", "rate": "gyros"}
+OPTIONS: Mapping[Quantity, str] = {"acceleration": "unit", "rate": "gyro"}  # of `rig export`
+
+
 @dataclass(frozen=True)
 class Choice:
     """What the file is for: one accelerometer unit, one set of gyros, and what a robot's file needs besides.
 
-    `rate` is the rate of the messages on `topic`, Hz. `assumed` gives values (SI) for what was not determined, by the
-    name that they have in the file; the file marks them as assumed.
+    Either is None for a sensor without such parts. `rate` is the rate of the messages on `topic`, Hz. `assumed` gives
+    values (SI) for what was not determined, by the name that they have in the file; the file marks them as assumed.
     """
 
-    unit: str = "unit_a"
-    gyros: str = "gyro"
+    unit: Triad | None = None
+    gyros: Triad | None = None
     rate: float | None = None
     topic: str = "/imu0"
     assumed: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _one_of("unit", self.unit, UNITS)
-        _one_of("gyro", self.gyros, GYROS)
         if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0.0):
             raise BadInput(f"export: found the rate {self.rate} Hz, wanted a finite number above 0")
         for name, value in self.assumed.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise BadInput(f"export: found {value} assumed for {name}, wanted a finite number above 0")
 
-    @property
-    def accelerometers(self) -> tuple[str, ...]:
-        """Channels of the unit along x, y, z."""
-        return channels_of(self.unit)
 
-    @property
-    def rotations(self) -> tuple[str, ...]:
-        """Channels of the gyros about x, y, z."""
-        return channels_of(self.gyros)
+def chosen(calibration: Calibration, quantity: Quantity, name: str | None) -> Triad | None:
+    """The unit of that name; without one the primary accelerometers, or the first gyros, or None if there are none.
+
+    Raises BadInput for a name that no unit of that quantity has.
+    """
+    sensor = calibration.under_test
+    known = sensor.of_quantity(quantity)
+    if name is None:
+        return sensor.primary if quantity == "acceleration" else next(iter(known), None)
+    for triad in known:
+        if triad.name == name:
+            return triad
+    wanted = f"one of {', '.join(triad.name for triad in known)}" if known else f"none: there are no {NOUNS[quantity]}"
+    raise BadInput(f"export --{OPTIONS[quantity]}: found '{name}', wanted {wanted}")
 
 
-def channels_of(triad: str) -> tuple[str, ...]:
-    """The three channels of `unit_a` … `unit_c`, `gyro` or `backup`, in the order x, y, z."""
-    return tuple(f"{triad}_{axis}" for axis in (ROTATIONS if triad in GYROS else AXES))
+def whole(calibration: Calibration, triad: Triad | None, quantity: Quantity) -> Triad:
+    """A triad with an axis along each of x, y, z; raises BadInput with what there is instead."""
+    if triad is None:
+        raise BadInput(f"calibration {calibration.name}: found no {NOUNS[quantity]}, wanted a triad of them; {ALONE}")
+    if not triad.is_whole:
+        raise BadInput(
+            f"calibration {calibration.name}: found {triad.name} along {', '.join(triad.axes)} alone, wanted a triad: "
+            f"channels along x, y and z; {ALONE}"
+        )
+    return triad
+
+
+ALONE = "single channels go into csv, mat, hdf5 and python"
 
 
 def needed(calibration: Calibration, channel: str, measurand: str) -> Result:
@@ -101,23 +115,24 @@ def worst(calibration: Calibration, channels: Sequence[str], measurand: str) -> 
     return max((needed(calibration, channel, measurand) for channel in channels), key=lambda r: abs(r.value or 0.0))
 
 
-def cross_axis(calibration: Calibration, triad: str) -> list[list[float]] | None:
+def cross_axis(calibration: Calibration, triad: Triad) -> list[list[float]] | None:
     """Matrix C, shape (3, 3), of reading = C·motion once zero output and sensitivity are taken out; diagonal 1.
 
     None unless all six entries beside the diagonal were determined. IEEE Std 1293, misalignment and cross-axis terms.
     """
-    names, word = (ROTATIONS, "cross_coupling") if triad in GYROS else (AXES, "cross_axis")
+    word = "cross_coupling" if triad.quantity == "rate" else "cross_axis"
+    names = [channel.word for channel in triad.channels]
     matrix = []
-    for channel, own in zip(channels_of(triad), names, strict=True):
+    for channel, own in zip(triad.names, names, strict=True):
         found = [calibration.find(f"{channel}.{word}_{other}") for other in names]
         row = [
             1.0 if other == own else result.value if result is not None else None
             for other, result in zip(names, found, strict=True)
         ]
-        whole = [value for value in row if value is not None and math.isfinite(value)]
-        if len(whole) < 3:
+        known = [value for value in row if value is not None and math.isfinite(value)]
+        if len(known) < 3:
             return None
-        matrix.append(whole)
+        matrix.append(known)
     return matrix
 
 
@@ -167,8 +182,3 @@ def yaml_float(value: float) -> str:
         raise BadInput(f"export: found {value}, wanted a finite number")
     number = repr(float(value))
     return number.replace("e", ".0e") if "e" in number and "." not in number else number
-
-
-def _one_of(what: str, found: str, wanted: Sequence[str]) -> None:
-    if found not in wanted:
-        raise BadInput(f"export --{what}: found '{found}', wanted one of {', '.join(wanted)}")

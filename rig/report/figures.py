@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, Signals, signals_of
+from rig.archive.records import Recorded, Signals, signals_of, wires_of
 from rig.calibrate import paper_method
 from rig.calibrate.calibration import Calibration, Result, text
 from rig.calibrate.paper_method import (
@@ -126,7 +126,7 @@ def _nearest_sine(runs: Sequence[Recorded]) -> _Sine | None:
     points.sort(key=lambda p: (abs(float(p[1]["frequency"]) - CROSS_AXIS), -float(p[1]["source"])))
     for run, body in points:
         found = signals_of(run, body)
-        if found is not None and "ldv" in found.names:
+        if found is not None and wires_of(run).reference in found.names:
             return _Sine(run, body, found)
     return None
 
@@ -136,7 +136,7 @@ def figure_4(runs: Sequence[Recorded]) -> Drawing | None:
     sine = _nearest_sine(runs)
     if sine is None:
         return None
-    times, volts = sine.cycles("ldv")
+    times, volts = sine.cycles(wires_of(sine.run).reference)
     figure, (ax,) = _new(height=2.9)
     ax.plot(times, volts * float(sine.body["scale"]) * 1e3, "o-", color=OURS, linewidth=1.3, markersize=2.5)
     ax.set(xlabel="time / ms", ylabel="velocity / (mm/s)")
@@ -196,7 +196,7 @@ class _Turning:
         """Instants (s), volts about zero (V) and the held rate (rad/s) where there is one."""
         instants = self.samples.instants(self.name)
         inside, rate = held(self.edges, count, axis_sign(self.body)).at(instants)
-        return instants[inside], volts_about_zero(self.samples, self.gyro)[inside], rate
+        return instants[inside], volts_about_zero(self.samples, self.gyro, wires_of(self.run).supply)[inside], rate
 
 
 def _turning(run: Recorded, body: Mapping[str, Any], gyro: SensorChannel) -> _Turning:

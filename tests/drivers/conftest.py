@@ -110,10 +110,10 @@ class GpibBench:
     def sleep(self, seconds: float) -> None:
         self.do(lambda: self.plant.advance(seconds))
 
-    def connect(self, driver: ModuleType, timeout: str = "3 s") -> Any:
+    def connect(self, driver: ModuleType, timeout: str = "3 s", **more: Any) -> Any:
         name = driver.__name__.rpartition(".")[2]
         gateway = f"PRLGX-TCPIP0::127.0.0.1::{self.port}::INTFC"
-        where = {"address": f"GPIB0::{ADDRESSES[name]}::INSTR", "gateway": gateway, "timeout": timeout}
+        where = {"address": f"GPIB0::{ADDRESSES[name]}::INSTR", "gateway": gateway, "timeout": timeout, **more}
         self._opened.append(driver.connect(name, driver.Settings.model_validate(where), self.room))
         return self._opened[-1]
 

@@ -19,7 +19,7 @@ LINE = "2,1,4,1,1.0E-03,-2.0E-03,0,5.0E-04,1.0E+00,16384"
 
 @pytest.fixture
 def scope(gpib):
-    return gpib.connect(hp54542a)
+    return gpib.connect(hp54542a, names=["laser", "x", "y", "z"])
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_it_says_who_it_is_and_another_is_refused(gpib, scope) -> None:
 def test_one_digitize_takes_all_four_channels_at_the_same_instants(gpib, ready) -> None:
     found = ready.capture()
     assert [line for line in gpib.pages.sent() if line.startswith(b":DIG")] == [b":DIG CHAN1,CHAN2,CHAN3,CHAN4;*OPC"]
-    assert found.names == ("ldv", "unit_a_x", "unit_a_y", "unit_a_z")
+    assert found.names == ("laser", "x", "y", "z")
     assert found.volts.shape == (4, 4096)
     assert found.start + found.interval * 4096 == pytest.approx(0.5)
     basis = np.exp(-2j * np.pi * 10.0 * found.interval * np.arange(4096))
@@ -170,7 +170,7 @@ def test_it_triggers_on_an_edge(gpib, scope) -> None:
 def test_settings_are_read_back(ready) -> None:
     found = ready.settings()
     assert (found["duration"], found["points"]) == (0.5, 4096)
-    assert (found["channel_3"], found["range_3"], found["offset_3"]) == ("unit_a_y", 4.0, 1.0)
+    assert (found["channel_3"], found["range_3"], found["offset_3"]) == ("y", 4.0, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_the_cube_is_mounted_with_the_axis_along_the_drive_and_the_next_one_up(
     mount, plug = (r for r in plan.requests if r.action in ("mount_on_shaker", "plug_analyzer"))
     assert f"{axis} along the drive and {up} up" in mount.text
     assert mount.settings == {"axis": axis}
-    assert plug.settings == {"input": 2, "signal": f"unit_a_{axis}"}
+    assert plug.settings == {"input": 2, "slot": 2 + "xyz".index(axis)}
     assert {sine.axis for sine in sines(plan)} == {axis}
 
 

@@ -29,6 +29,9 @@ from rig.errors import BadInput
 from rig.export import FORMATS, apply, python_module, write
 from rig.export.matlab import field_name
 from rig.export.selection import cross_axis, yaml_float
+from rig.yaml.config import shipped
+
+CUBE: dict[str, Any] = yaml.safe_load(shipped("sensors/simulated_cube.yaml").read_text(encoding="utf-8"))
 
 G = 9.80665
 DEGREE = math.pi / 180.0
@@ -88,6 +91,7 @@ def cube() -> Calibration:
         conditions={"temperature": (23.1, 22.9, 23.4), "supply": (5.002, 4.999, 5.004)},
         results=tuple(results),
         responses={"unit_a_x": points()},
+        unit=CUBE,
     )
 
 
@@ -303,8 +307,41 @@ def test_a_triad_that_was_not_calibrated_is_declared_unknown_and_half_a_triad_is
 
 
 def test_five_of_six_cross_axis_entries_are_no_matrix(cube: Calibration) -> None:
-    assert cross_axis(cube, "unit_a") == CROSS
-    assert cross_axis(without(cube, "unit_a_z.cross_axis_x"), "unit_a") is None
+    triad = cube.under_test.triad("unit_a")
+    assert cross_axis(cube, triad) == CROSS
+    assert cross_axis(without(cube, "unit_a_z.cross_axis_x"), triad) is None
+
+
+def alone(cube: Calibration) -> Calibration:
+    """The same of a sensor with one accelerometer and one gyro."""
+    kept = {name: CUBE["channels"][name] for name in ("unit_a_y", "gyro_yaw")}
+    results = tuple(r for r in cube.results if r.channel in kept)
+    return replace(cube, results=results, responses={}, unit={**CUBE, "channels": kept, "units": {}})
+
+
+def test_a_sensor_of_single_axes_goes_into_tables_and_the_module(cube: Calibration, tmp_path: Path) -> None:
+    for name in ("csv", "mat", "hdf5"):
+        assert write(alone(cube), name, tmp_path)
+    module = loaded(write(alone(cube), "python", tmp_path)[0])
+    assert (set(module.CHANNELS), module.TRIADS) == ({"unit_a_y", "gyro_yaw"}, {})
+
+
+@pytest.mark.parametrize("format", ["kalibr", "ros2"])
+def test_what_needs_a_triad_says_which_axes_there_are_and_what_takes_them(
+    format: str, cube: Calibration, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match="found unit_a along y alone, wanted a triad: channels along x, y and z; single"):
+        write(alone(cube), format, tmp_path, rate=200.0)
+    none = replace(alone(cube), unit={**CUBE, "channels": {"unit_a_y": CUBE["channels"]["unit_a_y"]}, "units": {}})
+    with pytest.raises(BadInput, match="found 'gyro', wanted none: there are no gyros"):
+        write(none, format, tmp_path, rate=200.0, gyros="gyro")
+
+
+def test_a_calibration_from_before_the_sensor_was_kept_has_the_units_that_its_names_say(cube: Calibration) -> None:
+    older = replace(cube, unit={}).under_test
+    assert older.triad("gyro").names == cube.under_test.triad("gyro").names
+    assert older.primary is not None
+    assert older.primary.names == ("unit_a_x", "unit_a_y", "unit_a_z")
 
 
 # --- CSV

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics
+from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics, wires_of
 from rig.foreign.tables import is_foreign
 from rig.motion import ORDERS
 from rig.parts import nuisances
@@ -23,6 +23,7 @@ from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
 from rig.parts.sine_lines import LIMIT, density, slow_noise, taken
 from rig.parts.sine_records import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
 from rig.parts.sines import Sines
+from rig.record import Wires
 from rig.signals import tone
 from rig.signals.spectrum import Density
 
@@ -83,8 +84,9 @@ def _sweep(records: Recorded, name: str) -> SineRecords:
 
 def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterator[_Record]:
     """Pieces of about one second of a record at rest."""
+    wires = wires_of(records)
     found = signals(records.samples(str(body["samples"])))
-    if "ldv" not in found.names:
+    if wires.reference not in found.names:
         return
     seconds = min(len(found.instants) / found.rate, LONGEST)
     each = round(found.rate * seconds / max(1, math.floor(seconds)))
@@ -97,12 +99,12 @@ def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterat
         lines[:, 1:ORDERS] = np.nan
         begin = found.start + float(found.instants[first])
         gate = _Gate(np.zeros(ORDERS, np.complex128), 0.0, 0.0, np.empty(0))
-        yield _record(found, begin, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
+        yield _record(found, wires, begin, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
 
 
 def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Record:
     point, found = sine.point, sine.record
-    every = {**point.lines, "ldv": point.reference_line}
+    every = {**point.lines, chain.wire: point.reference_line}
     lines = np.full((len(found.names), LINES), np.nan, np.complex128)
     for c, name in enumerate(found.names):
         lines[c, 0] = every[name].mean
@@ -111,7 +113,8 @@ def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Recor
     per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
     gate = _gated(sine, chain)
     variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, gate.left, at)])
-    return _record(found, found.start + float(found.instants[0]), lines, sine.left, point, mains, variance, gate)
+    begin = found.start + float(found.instants[0])
+    return _record(found, wires_of(records), begin, lines, sine.left, point, mains, variance, gate)
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ class _Gate:
 def _gated(sine: Sine, chain: Chain) -> _Gate:
     """Fit the reference again without samples beyond six robust standard deviations, until none is left."""
     found, point = sine.record, sine.point
-    column = found.names.index("ldv")
+    column = found.names.index(chain.wire)
     left = sine.left[:, column]
     count = int(np.count_nonzero(np.isfinite(point.acceleration)))
     shown = np.concatenate([[0.0], point.acceleration])
@@ -172,7 +175,7 @@ def _reference_noise(sine: Sine, left: Array, at: Array) -> Array:
 
 
 def _record(
-    found: Signals, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
+    found: Signals, wires: Wires, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
     variance: Array, gate: _Gate,
 ) -> _Record:  # fmt: skip
     count = len(left)
@@ -187,15 +190,15 @@ def _record(
     names = list(found.names)
     free = np.array([not found.clipped.get(name) for name in names])
     marked = taken(np.asarray(at, np.float64), point.frequency if point else None, resolution)
-    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index("ldv")], marked)
+    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index(wires.reference)], marked)
     return _Record(
         begin=begin,
         seconds=count / found.rate,
         lines=lines,
         usable=free,
         leftover=leftover,
-        temperature=_mean(found, "temperature", 100.0),
-        supply=_mean(found, "supply", 1.0),
+        temperature=_mean(found, wires.temperature, 100.0),
+        supply=_mean(found, wires.supply, 1.0),
         before=_before(lines, point, mains, step),
         point=point,
         reference_variance=variance,
@@ -225,7 +228,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     """Records in the order of time, channels of sensors only."""
     whole = sorted(whole, key=lambda one: one.begin)
     cables = list(records.header["bench_file"]["cables"]["shaker"])
-    channels = channels_of(records, cables, relative_to="ldv")
+    channels = channels_of(records, cables, relative_to=wires_of(records).reference)
     rows = np.array([cables.index(n) for n in channels.names])
     leftovers = [one.leftover for one in whole]
     densities = [density(leftovers, row, mains) for row in rows]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, experiments, mounts, reference
+from rig.archive.records import Recorded, experiments, mounts, reference, wires_of
 from rig.errors import BadInput
 from rig.foreign.tables import is_foreign
 from rig.model import Channels
@@ -24,6 +24,7 @@ from rig.parts.reading.revolutions import SLOWEST, mount_of
 from rig.parts.reference_motion import Shown
 from rig.parts.turn_records import TurnRecords, stretches_of
 from rig.parts.turning import HIGHEST_RATE, Turning
+from rig.sensor import Sensor
 from rig.signals import noise
 from rig.signals.encoder import LINES
 from rig.signals.rotation import Edges, Track, edges_of, encoder_settings
@@ -111,8 +112,8 @@ def _records(records: Recorded) -> Iterator[_Record]:
 
 def _names(records: Recorded) -> list[str]:
     cables = list(records.header["bench_file"]["cables"]["turntable"])
-    sensors = records.header["sensor"]["channels"]
-    return [name for name in cables if name in sensors or name in ("supply", "temperature")]
+    sensor, wires = Sensor.of(records.header), wires_of(records)
+    return [name for name in cables if name in sensor or name in (wires.supply, wires.temperature)]
 
 
 def _windows(records: Recorded, block: str, names: Sequence[str]) -> tuple[Array, float, float, float, dict[str, int]]:
@@ -277,7 +278,7 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
     lengths = [one.means.shape[1] for one in found]
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
     slices = tuple(itertools.pairwise(bounds))
-    names = _names(records)
+    names, wires = _names(records), wires_of(records)
     means = np.concatenate([one.means for one in found], axis=1)
     sensors = np.array([names.index(n) for n in channels.names])
     counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))
@@ -307,8 +308,8 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
         tangent=frames[:, 1],
         up=frames[:, 2],
         radius=np.repeat([float(one.mount["radius"]) for one in found], lengths),
-        temperature=smoothed(time, _logged(means, names, "temperature", 100.0)),
-        supply=smoothed(time, _logged(means, names, "supply", 1.0)),
+        temperature=smoothed(time, _logged(means, names, wires.temperature, 100.0)),
+        supply=smoothed(time, _logged(means, names, wires.supply, 1.0)),
         gravity=reference(records, "gravity", "gravity").value,
         usable=np.array([n not in clipped for n in channels.names]),
         resting=interval * sum(n for one, n in pairs if one.kind == "rest"),

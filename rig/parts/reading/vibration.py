@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, Reference, Signals, reference, signals_of
+from rig.archive.records import Recorded, Reference, Signals, reference, signals_of, wires_of
 from rig.errors import BadInput
+from rig.record import Wires
 from rig.signals import tone
 
 HARMONICS = 5
@@ -49,6 +50,7 @@ class Chain:
     """The reference's chain of one run: standards, and the filter behind the decoder.
 
     `u_cutoff` is the relative standard uncertainty of the filter's cut-off: of its verification, or of its dial.
+    `wire` is what the cables call the reference.
     """
 
     gain: Reference
@@ -56,6 +58,7 @@ class Chain:
     time_base: Reference
     filter: Mapping[str, Any]
     u_cutoff: float
+    wire: str = Wires.reference
 
     def velocity_per_volt(self, scale: float, frequency: NDArray[np.float64]) -> Complexes:
         """Velocity for one volt of the record, (m/s)/V, complex, shape of `frequency` (Hz)."""
@@ -88,6 +91,7 @@ def chain_of(records: Recorded) -> Chain:
         time_base=reference(records, "time_base", "rate"),
         filter=found,
         u_cutoff=(VERIFIED if verified else DIAL) if found.get("mode", "bypass") != "bypass" else 0.0,
+        wire=wires_of(records).reference,
     )
 
 
@@ -160,15 +164,17 @@ def sines(records: Recorded, chain: Chain) -> Iterator[Sine]:
         if "frequency" in body:
             found = signals_of(records, body)
             where = f"{records.name}, {body.get('label', f'point {index}')}"
-            if found is None or "ldv" not in found.names:
-                raise BadInput(f"{where}: found no record of the reference (channel ldv), wanted one for a calibration")
+            if found is None or chain.wire not in found.names:
+                raise BadInput(
+                    f"{where}: found no record of the reference (channel {chain.wire}), wanted one for a calibration"
+                )
             yield _point(where, records.name, index, body, found, chain)
 
 
 def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Signals, chain: Chain) -> Sine:
-    frequency, flags = _driven(where, float(body["frequency"]), found)
+    frequency, flags = _driven(where, float(body["frequency"]), found, chain.wire)
     lines, left = _lines(found, frequency)
-    ldv = lines.pop("ldv")
+    ldv = lines.pop(chain.wire)
     at = np.asarray(frequency * np.arange(1, HARMONICS + 1), np.float64)
     velocity = np.multiply(ldv.amplitudes, chain.velocity_per_volt(float(body["scale"]), at))
     magnitude = abs(complex(ldv.amplitudes[0]))
@@ -189,14 +195,14 @@ def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Sig
     return Sine(point, found, left)
 
 
-def _driven(where: str, nominal: float, found: Signals) -> tuple[float, tuple[str, ...]]:
+def _driven(where: str, nominal: float, found: Signals, wire: str) -> tuple[float, tuple[str, ...]]:
     """The driven frequency by the converter's clock, Hz, and what there is to say of the record's length."""
     seconds = float(found.instants[-1] - found.instants[0]) + 1.0 / found.rate
     cycles = seconds * nominal
     if cycles < SHORTEST:
         raise BadInput(f"{where}: found a record of {cycles:.2g} cycles, wanted at least {SHORTEST:g}")
-    skew = float(found.skew[found.names.index("ldv")])
-    fitted = tone.fit_four(found.instants + skew, found.of("ldv"), nominal, _countable(nominal, found.rate))
+    skew = float(found.skew[found.names.index(wire)])
+    fitted = tone.fit_four(found.instants + skew, found.of(wire), nominal, _countable(nominal, found.rate))
     away = abs(seconds * fitted.frequency - round(seconds * fitted.frequency))
     return fitted.frequency, (f"not whole cycles ({cycles:.2f})",) if away > WHOLE else ()
 

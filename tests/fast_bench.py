@@ -27,7 +27,7 @@ from fixtures.das16jr_board import RANGES
 from fixtures.world import Refused, World
 from rig.archive import journal
 from rig.archive.journal import BlockRef, Entry
-from rig.archive.records import Signals
+from rig.archive.records import Signals, response_of
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
@@ -389,6 +389,10 @@ class MemoryRecords:
         instants = np.asarray(float(meta["start"]) + float(meta["interval"]) * np.arange(volts.shape[1]), np.float64)
         clipped = dict(zip(meta["names"], meta["clipped"], strict=True))
         return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
+
+    def response(self, name: str) -> Response:
+        """What the analyzer measured. KeyError if there is nothing."""
+        return response_of(self.block(name), self.metas[name])
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block's name and their columns. KeyError if there are none, as on this bench."""

@@ -18,7 +18,7 @@ from rig import units
 from rig.archive.journal import Entry
 from rig.archive.reader import Run
 from rig.errors import BadInput, StandardOverdue
-from rig.record import Channel, CubeSamples, Samples, Timing, Wires
+from rig.record import Channel, CubeSamples, Response, Samples, Timing, Wires
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
 OF_A_STEP = ("step", "point", "repeated", "prepared")  # lines that name a step by its index
@@ -48,6 +48,10 @@ class Recorded(Protocol):
 
     def traces(self, name: str) -> Signals:
         """Simultaneous traces of the oscilloscope."""
+        ...
+
+    def response(self, name: str) -> Response:
+        """What the analyzer measured."""
         ...
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
@@ -113,6 +117,10 @@ class Records:
         clipped = dict(zip(meta["names"], meta.get("clipped", ()), strict=False))
         return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
 
+    def response(self, name: str) -> Response:
+        """What the analyzer measured, behind a block name."""
+        return response_of(self.run.block(name), self._blocks[name][0].meta)
+
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
         return self.run.block(name), tuple(self._blocks[name][0].meta["columns"])
@@ -133,6 +141,13 @@ class Records:
             rate=float(meta["rate"]),
             start=float(meta["start"]),
         )
+
+
+def response_of(columns: NDArray[np.float64], meta: Mapping[str, Any]) -> Response:
+    """A response from its block: columns frequency, real, imaginary, coherence (NaN where there was none)."""
+    frequency, real, imaginary, coherence = np.asarray(columns, np.float64).T
+    known = None if np.isnan(coherence).all() else coherence
+    return Response(frequency, real + 1j * imaginary, known, int(meta["averages"]), tuple(meta["overloads"]))
 
 
 def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) -> Samples:
@@ -202,6 +217,9 @@ class Experiment:
 
     def traces(self, name: str) -> Signals:
         return self.run.traces(name)
+
+    def response(self, name: str) -> Response:
+        return self.run.response(name)
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         return self.run.table(name)

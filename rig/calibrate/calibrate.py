@@ -20,6 +20,7 @@ from rig import units
 from rig.archive.records import Recorded, experiments, mounts, reference, signals, wires_of
 from rig.calibrate import accelerometers, gyros, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
+from rig.calibrate.analyzer_route import second_route
 from rig.calibrate.budget import Budget, Contribution, half_width
 from rig.calibrate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
 from rig.calibrate.resting import Resting
@@ -78,6 +79,10 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
+    second = second_route(done, sensor, shaken.setup())
+    said = () if second is None else tuple(second.flags())
+    if second is not None:
+        results += second.results(results)
     paper = paper_method.accelerometer_rows(shaken.everything(), sensor, runs)
     paper += [row for one in done for row in paper_method.gyro_rows(one, sensor)]
     return Calibration(
@@ -91,9 +96,10 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
         conditions=resting.conditions_of(runs),
         results=tuple(_judged(_ordered(results, sensor), sensor)),
         responses=shaken.responses(),
+        analyzer={} if second is None else second.responses(),
         paper=tuple(paper),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
-        flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags()])),
+        flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags(), *said])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
     )
@@ -302,12 +308,17 @@ class _Shaken:
         """All points of all runs."""
         return [point for group in self.points for point in group]
 
+    def setup(self) -> accelerometers.Setup | None:
+        """What the budgets need beside the points; None without a sweep."""
+        limits = self._bench.alignment
+        if self._chain is None:
+            return None
+        return accelerometers.Setup(self._chain, limits.beam, limits.mount, self._bench.temperature)
+
     def results(self) -> Iterator[Result]:
-        bench, chain = self._bench, self._chain
-        if chain is None:
+        bench, chain, setup = self._bench, self._chain, self.setup()
+        if chain is None or setup is None:
             return
-        limits = bench.alignment
-        setup = accelerometers.Setup(chain, limits.beam, limits.mount, bench.temperature)
         remount = accelerometers.remount_of(self._fits)
         for name in [one for one in self._unusable if one not in self._whole]:
             yield not_determined(name, "sensitivity", "sensitivity at low frequency", SENSITIVITY, self._unusable[name])

@@ -29,12 +29,32 @@ Verdict = Literal["pass", "fail", "inconclusive"]
 
 
 @dataclass(frozen=True)
+class Check:
+    """The direct estimate of a value beside the fitted one: `delta` apart, with the uncertainty of that difference.
+
+    Both are made from the same rows, so `u_delta` is not the root of the sum of their squares.
+    """
+
+    method: str
+    value: float
+    u: float
+    delta: float
+    u_delta: float
+
+    @property
+    def agrees(self) -> bool:
+        """|Δ| ≤ 2·u(Δ)."""
+        return abs(self.delta) <= 2.0 * self.u_delta
+
+
+@dataclass(frozen=True)
 class Result:
     """One measurand of one channel, in SI.
 
     `key` is `<channel>.<measurand>`, unique in a calibration. `value` and `budget` are None if it was not determined;
     `remarks` then say why, and otherwise what a reader must know (a flagged result always has one). `low` and `high`
-    are the limits that `verdict` was judged against. `title` is the measurand in a reader's words.
+    are the limits that `verdict` was judged against. `title` is the measurand in a reader's words. `check` holds what
+    another estimator makes of the same records.
     """
 
     channel: str
@@ -50,6 +70,7 @@ class Result:
     low: float | None = None
     high: float | None = None
     verdict: Verdict | None = None
+    check: Check | None = None
 
     @property
     def key(self) -> str:
@@ -129,6 +150,24 @@ class ResponsePoint:
 
 
 @dataclass(frozen=True)
+class AnalyzerPoint:
+    """The same as the analyzer measured it at the bench; `coherence` is γ² in the line at the frequency."""
+
+    frequency: float
+    level: str
+    acceleration: float
+    magnitude: float
+    phase: float
+    u_magnitude: float
+    u_phase: float
+    uc_magnitude: float
+    uc_phase: float
+    coherence: float
+    run: str
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class PaperRow:
     """One value of the paper's method, kept beside ours: `estimate` names the equation; SI; no uncertainty claimed.
 
@@ -177,6 +216,7 @@ class Calibration:
     conditions: Mapping[str, tuple[float, float, float]]
     results: tuple[Result, ...]
     responses: Mapping[str, tuple[ResponsePoint, ...]] = field(default_factory=dict)
+    analyzer: Mapping[str, tuple[AnalyzerPoint, ...]] = field(default_factory=dict)
     paper: tuple[PaperRow, ...] = ()
     overdue: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
@@ -308,6 +348,10 @@ def _calibration(body: Mapping[str, Any]) -> Calibration:
             channel: tuple(ResponsePoint(**{**row, "flags": tuple(row["flags"])}) for row in rows)
             for channel, rows in body["responses"].items()
         },
+        analyzer={
+            channel: tuple(AnalyzerPoint(**{**row, "flags": tuple(row["flags"])}) for row in rows)
+            for channel, rows in (body.get("analyzer") or {}).items()
+        },
         paper=tuple(PaperRow(**row) for row in body["paper"]),
         overdue=tuple(body["overdue"]),
         flags=tuple(body["flags"]),
@@ -316,13 +360,15 @@ def _calibration(body: Mapping[str, Any]) -> Calibration:
 
 
 def _result(row: Mapping[str, Any]) -> Result:
-    kept = {name: value for name, value in row.items() if name not in ("budget", "u", "dof", "k", "expanded")}
+    derived = ("budget", "check", "u", "dof", "k", "expanded")
+    kept = {name: value for name, value in row.items() if name not in derived}
+    check = None if row.get("check") is None else Check(**row["check"])
     budget = row["budget"]
     if budget is not None:
         contributions = tuple(Contribution(**one) for one in budget["contributions"])
         correlation = {tuple(pair["between"]): pair["r"] for pair in budget["correlation"]}
         budget = Budget(contributions, correlation)
-    return Result(**{**kept, "remarks": tuple(row["remarks"])}, budget=budget)
+    return Result(**{**kept, "remarks": tuple(row["remarks"])}, budget=budget, check=check)
 
 
 def _plain(value: Any) -> Any:

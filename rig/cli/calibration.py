@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -334,7 +335,14 @@ def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Cal
     return replace(made, name=free), opened
 
 
-SHOWN_FIRST = ("sensitivity", "sensitivity_gravity", "sensitivity_centripetal", "offset", "deviation")
+SHOWN_FIRST = (
+    "sensitivity",
+    "sensitivity_analyzer",
+    "sensitivity_gravity",
+    "sensitivity_centripetal",
+    "offset",
+    "deviation",
+)
 
 
 def text_of(made: Calibration) -> list[str]:
@@ -356,7 +364,10 @@ def text_of(made: Calibration) -> list[str]:
 
 def _beside(result: Result) -> str:
     verdict = "" if result.verdict is None else f"{result.verdict} against the data sheet's tolerance"
-    return "; ".join(part for part in (f"k = {result.coverage_factor:.2f}", verdict) if part)
+    check = (
+        "" if result.check is None else f"{'agrees' if result.check.agrees else 'does not agree'} with the other route"
+    )
+    return "; ".join(part for part in (f"k = {result.coverage_factor:.2f}", verdict, check) if part)
 
 
 def _as_json(made: Calibration, path: Path) -> dict[str, Any]:
@@ -383,6 +394,7 @@ def row_of(result: Result) -> dict[str, Any]:
         "expanded": result.expanded if result.determined else None,
         "status": result.status,
         "verdict": result.verdict,
+        "check": None if result.check is None else {**asdict(result.check), "agrees": result.check.agrees},
         "method": result.method,
         "reference": result.reference,
         "remarks": list(result.remarks),

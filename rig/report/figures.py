@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, Signals, signals_of, wires_of
 from rig.calibrate import paper_method
-from rig.calibrate.calibration import Calibration, Result, text
+from rig.calibrate.calibration import AnalyzerPoint, Calibration, Result, text
 from rig.calibrate.paper_method import (
     AVERAGED,
     CROSS_AXIS,
@@ -393,6 +393,7 @@ def response(calibration: Calibration) -> Drawing | None:
                            label=channel, **style)  # fmt: skip
         turned = np.unwrap([p.phase for p in full]) / DEGREE
         phase.errorbar(f, turned, [2 * p.uc_phase / DEGREE for p in full], **style)
+        _analyzer_beside((magnitude, phase), calibration.analyzer.get(channel, ()), full[0].level, size, turned)
     magnitude.set(xscale="log", ylabel="magnitude ÷ sensitivity")
     phase.set(xscale="log", ylabel="phase / °", xlabel="frequency / Hz")
     _plain_ticks(phase)
@@ -401,8 +402,22 @@ def response(calibration: Calibration) -> Drawing | None:
     return Drawing(
         figure,
         f"Response against the vibrometer at the first level, relative to the sensitivity of each channel; "
-        f"bars are k = 2 (run {runs}).",
+        f"bars are k = 2 (run {runs})."
+        + (" Open squares: the same by the analyzer, at the bench." if calibration.analyzer else ""),
     )
+
+
+def _analyzer_beside(axes: Any, points: Sequence[AnalyzerPoint], level: str, size: float, turned: Array) -> None:
+    """The analyzer's points of one level as open squares; phases on the branch that the records' phases begin on."""
+    mine = [point for point in points if point.level == level and not point.flags]
+    if not mine:
+        return
+    style = {"linestyle": "none", "marker": "s", "markersize": 6, "markerfacecolor": "none", "color": INK}
+    f = [point.frequency for point in mine]
+    axes[0].plot(f, [point.magnitude / size for point in mine], markeredgewidth=0.7, **style)
+    angles = np.unwrap([point.phase for point in mine]) / DEGREE
+    angles += 360.0 * np.round((turned[0] - angles[0]) / 360.0)
+    axes[1].plot(f, angles, markeredgewidth=0.7, **style)
 
 
 _MARKERS = {"x": "o", "y": "s", "z": "^"}

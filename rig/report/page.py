@@ -14,7 +14,7 @@ from typing import Any
 
 from rig.archive.records import Recorded
 from rig.calibrate.budget import Contribution
-from rig.calibrate.calibration import Calibration, PaperRow, Result, shown, text
+from rig.calibrate.calibration import AnalyzerPoint, Calibration, Check, PaperRow, ResponsePoint, Result, shown, text
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
 from rig.report import figures
@@ -96,6 +96,8 @@ def page(calibration: Calibration, runs: Sequence[Recorded]) -> str:
         results=[(r, text(r), verdict_text(r), limits(r)) for r in calibration.results],
         budgets=[(r, text(r), list(budget_lines(r))) for r in calibration.results if r.budget is not None],
         responses=[(channel, list(map(_response, points))) for channel, points in calibration.responses.items()],
+        beside=beside,
+        analyzer=[(channel, list(map(_analyzer, points))) for channel, points in calibration.analyzer.items()],
         figures=[(one, Markup(one.svg)) for one in drawn],  # noqa: S704 - our own drawing, its texts escaped by it
         missing=missing,
     )
@@ -225,7 +227,25 @@ def _per(unit: str, contribution: Contribution) -> str:
     return unit if contribution.unit == "1" else f"({unit})/({contribution.unit})"
 
 
-def _response(point: Any) -> dict[str, str]:
+def beside(check: Check, unit: str) -> str:
+    """`beside it 650.2 mV/g (off-line: …), Δ = −0.3 of u(Δ) 0.9 mV/g: agrees`."""
+    name, factor = SHOWN.get(unit, (unit, 1.0))
+    delta, u = rounded(check.delta * factor, check.u_delta * abs(factor))
+    value = rounded(check.value * factor, check.u * abs(factor))[0]
+    verdict = "agrees" if check.agrees else "does not agree"
+    return f"beside it {value} {name} ({check.method}): Δ = {delta} {name}, u(Δ) = {u} {name}, {verdict}"
+
+
+def _analyzer(point: AnalyzerPoint) -> dict[str, str]:
+    return _measured(point) | {"coherence": f"{point.coherence:.6f}"}
+
+
+def _response(point: ResponsePoint) -> dict[str, str]:
+    distortion = f"{100.0 * point.distortion:.2g} %" if math.isfinite(point.distortion) else "–"
+    return _measured(point) | {"distortion": distortion}
+
+
+def _measured(point: ResponsePoint | AnalyzerPoint) -> dict[str, str]:
     unit, factor = SHOWN["V/(m/s²)"]
     degrees = SHOWN["rad"][1]
     magnitude = rounded(point.magnitude * factor, 2.0 * point.uc_magnitude * factor)
@@ -236,7 +256,6 @@ def _response(point: Any) -> dict[str, str]:
         "acceleration": f"{point.acceleration:.3f}",
         "magnitude": f"{magnitude[0]} ± {magnitude[1]}",
         "phase": f"{phase[0]} ± {phase[1]}",
-        "distortion": f"{100.0 * point.distortion:.2g} %" if math.isfinite(point.distortion) else "–",
         "flags": "; ".join(point.flags),
         "unit": unit,
     }

@@ -19,7 +19,7 @@ from rig.calibrate.calibration import Calibration, load, save, text
 from rig.calibrate.comparison import compare
 from rig.errors import BadInput, StandardOverdue
 from rig.printed import rounded
-from rig.record import Samples
+from rig.record import Response, Samples
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 8}
 
@@ -45,6 +45,9 @@ class Altered:
 
     def traces(self, name: str) -> Signals:
         return self._run.traces(name)
+
+    def response(self, name: str) -> Response:
+        return self._run.response(name)
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ from fixtures.world import Refused, World
 from rig.archive import journal
 from rig.archive.journal import BlockRef, Entry
 from rig.archive.records import Signals, response_of
+from rig.archive.runs import Runs
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
@@ -507,6 +508,16 @@ def measure(document: Mapping[str, Any] | str, world: World, *, bench: Path = BE
     carrying = runner._Carrying(order, made, NoGuard(), writer)  # type: ignore[arg-type]
     carrying.carry_out(done=frozenset())
     return writer.records
+
+
+def keep(document: Mapping[str, Any], world: World, runs: Path, *, bench: Path = BENCH) -> str:
+    """The same into an archive; the name of the run, which is the procedure's but for the date."""
+    order = _ordered(_text(document), bench)
+    made = _bench(order, world)
+    archive = Runs(runs, now=WorldClock(world).now)
+    with archive.create(order.plan.procedure, runner._header(order, made, [])) as writer:
+        done = runner._Carrying(order, made, NoGuard(), writer).carry_out(done=frozenset())  # type: ignore[arg-type]
+    return done.name
 
 
 def accepts(document: Mapping[str, Any], *, bench: Path = BENCH) -> bool:

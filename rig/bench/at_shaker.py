@@ -98,11 +98,13 @@ def _record(step: Sine, station: Station, amplitude: float) -> dict[str, Any]:
     velocity = step.acceleration / (2.0 * math.pi * step.frequency)
     with station.watch("instruments"):
         scale = station.vibrometer.set_range_for(1.3 * velocity)
+        # at most 7.4 V of the 7.9 V that input 1 takes
+        ranges = {1: station.analyzer.set_range(1, 1.2 * velocity / scale), 2: station.sensor_range}
         _move(station, step.frequency, amplitude)
         station.room.clock.sleep(step.settle)
         station.vibrometer.check(require=False)  # the over-range latch may hold what the change of drive did
         before = _trusted(station)
-        captured = _in_range(step, station, 1.2 * velocity / scale)  # at most 7.4 V of the 7.9 V that input 1 takes
+        captured = _in_range(step, station, ranges)
         after = _trusted(station)
     with station.watch("analysis"):
         volts = _reference_volts(step, captured, station.description.wires.reference)
@@ -138,14 +140,13 @@ def _move(station: Station, frequency: float, amplitude: float) -> None:
     drive.frequency, drive.amplitude, drive.on = frequency, amplitude, True
 
 
-def _in_range(step: Sine, station: Station, reference: float) -> Captured:
-    """The point with all inputs of the analyzer in range, input 1 first in the one for `reference` (V).
+def _in_range(step: Sine, station: Station, ranges: dict[int, float]) -> Captured:
+    """The point with all inputs of the analyzer in range; `ranges` by input, V peak, are those that are set.
 
     An input that is overloaded gets its next wider range and everything is recorded again: the analyzer's own autorange
     steps up in the same way, but only while nothing is measured. The sensor's input keeps the range that it needed.
     Raises SignalOverload if no range is wide enough.
     """
-    ranges = {1: station.analyzer.set_range(1, reference), 2: station.sensor_range}
     while True:
         captured = _acquire(step, station)
         overloads = () if captured.response is None else captured.response.overloads

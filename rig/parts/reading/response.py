@@ -72,7 +72,8 @@ def _ratio(foreign: Foreign, table: Table, device: Mapping[str, Column]) -> tupl
     stated = [u for u in us if u is not None] or [np.zeros(len(real))]
     either = np.sqrt(np.mean(np.square(stated), axis=0))
     ratio = real + 1j * imaginary
-    return np.asarray(ratio), either, either / np.abs(ratio), device["real"]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a ratio of nought is refused by its row
+        return np.asarray(ratio), either, either / np.abs(ratio), device["real"]
 
 
 def _channels(column: Column, sign: float) -> Channels:

@@ -194,11 +194,12 @@ class Fit:
 def inverse(normal: Array) -> Array:
     """Inverse of a normal matrix, with columns scaled; directions that nothing determines get none of it."""
     size = np.sqrt(np.diag(normal))
-    size = np.where(size > 0.0, size, 1.0)
+    seen = size > 0.0
+    size = np.where(seen, size, 1.0)
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     kept = values > NEGLIGIBLE * values[-1]
     scaled = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return np.asarray(scaled / np.outer(size, size))
+    return np.asarray(np.where(np.outer(seen, seen), scaled / np.outer(size, size), 0.0))  # not even by rounding
 
 
 def predicted(parts: Sequence[Part], state: State) -> list[NDArray[np.inexact]]:

@@ -48,7 +48,9 @@ def evidence_of(runs: Sequence[Recorded]) -> Evidence:
     found = reading.read(runs)
     if not found.parts:
         names = ", ".join(run.name for run in runs)
-        raise BadInput(f"{names}: found no sines and no turning platter, wanted a sweep or a turntable run")
+        raise BadInput(
+            f"{names}: found no sines, no turning platter and no poses, wanted a sweep, a turntable run or a tumble"
+        )
     header = runs[0].header
     return Evidence(
         found.parts, found.known, tuple(run.name for run in runs), str(header["sensor"]["serial"]),

@@ -65,7 +65,10 @@ class State:
 
 
 def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, shared: bool = False) -> State:
-    """Where a fit starts: data-sheet values, no offset. `shared`: one sensitivity for all channels of a quantity."""
+    """Where a fit starts: data-sheet values, zero outputs as the parts have them.
+
+    `shared`: one sensitivity for all channels of a quantity.
+    """
     names = dict.fromkeys(name for part in parts for name in part.channels.names)
     first: dict[bool, str] = {}
     leader = {
@@ -75,7 +78,7 @@ def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, s
     return State(
         dict.fromkeys(names, 0.0),
         dict.fromkeys(names, 0.0),
-        tuple(np.zeros(len(part.channels.names)) for part in parts),
+        tuple(part.zeros for part in parts),
         tuple(np.zeros(part.extra.shape[1]) for part in parts),
         tuple(terms),
         poles,
@@ -254,7 +257,9 @@ def fit(
 ) -> Fit:
     """Minimise from this state. `use` (rows,) leaves rows out. Raises BadInput if there is nothing to fit."""
     if not parts:
-        raise BadInput("fit: found no record that a model can be compared with, wanted a sweep or a turntable run")
+        raise BadInput(
+            "fit: found no record that a model can be compared with, wanted a sweep, a turntable run or a tumble"
+        )
     found = linearised(parts, state, use)
     for _ in range(iterations):
         step = inverse(found.normal) @ found.downhill

@@ -95,6 +95,11 @@ class Part(ABC):
     def observed(self) -> NDArray[np.inexact]:
         """What was recorded, as `raw` predicts it."""
 
+    @property
+    def zeros(self) -> Array:
+        """Zero outputs of its channels where a fit begins, V, (c,)."""
+        return np.zeros(len(self.channels.names))
+
     def alike(self, other: Part) -> bool:
         """Whether another part is of the same experiment: zero outputs carry over."""
         return self.within(other.experiment)

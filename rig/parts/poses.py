@@ -80,6 +80,7 @@ class PosedRecords:
     gravity: float
     u_gravity: float
     notes: tuple[str, ...] = ()
+    zero: Array | None = None  # (c,): zero outputs where a fit begins, V; none where the numbers are about them already
     up: Array | None = None  # (3, n): what the owner says is up, NaN where nobody does
 
 
@@ -109,9 +110,13 @@ class Posed(Part):
         super().__init__(data.name, data.run, data.channels, data.observed.shape[1], row_names=names, row_rates=rates,
                          notes=data.notes)  # fmt: skip
         self._turned = np.any(data.turn != 0.0, axis=0)
-        self._start = _unit(self._first(data.channels.sensitivity, np.zeros(len(data.channels.names))))
+        self._start = _unit(self._first(data.channels.sensitivity, self.zeros))
         self.blind = tuple(_blind(data, _different(self._start[:, ~self._turned]) if len(self._triad) else 0))
         self.extra = self._of_gravity()
+
+    @property
+    def zeros(self) -> Array:
+        return super().zeros if self.data.zero is None else self.data.zero
 
     @property
     def observed(self) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import fast_bench
 import pytest
 
-from rig.bench.benchfile import SensorChannel
+from rig.bench.benchfile import ChannelFile
 from rig.fit.evidence import evidence_of
 
 
@@ -26,4 +26,4 @@ def test_a_gyro_beyond_its_range_is_said_with_its_part() -> None:
 def test_a_range_in_another_unit_is_refused() -> None:
     body = {"part": "p", "quantity": "rate", "axis": "x", "sensitivity": "1 mV/(°/s)", "bandwidth": "50 Hz"}
     with pytest.raises(ValueError, match="found '2 g', wanted an angular rate"):
-        SensorChannel.model_validate({**body, "range": "2 g"})
+        ChannelFile.model_validate({**body, "range": "2 g"})

@@ -9,7 +9,7 @@ flicker fitted to it, and the covariance that gives means of such length at such
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,7 +86,7 @@ def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: 
     if by_file:
         intervals = [_marked(one, table.held_out) for one in intervals]
     else:
-        intervals, said = _held(intervals, foreign.manifest.compared.held_out)
+        intervals, said = held_out(intervals, foreign.manifest.compared.held_out)
         notes = [*notes, said]
     return _means(foreign, table, number, channels, numbers, time, rate, sorted(intervals, key=_begin), notes)
 
@@ -166,20 +166,23 @@ def _marked(one: Interval, held: bool) -> Interval:
     return replace(one, held=held)
 
 
-def _held(intervals: Sequence[Interval], share: float) -> tuple[list[Interval], str]:
-    """What a model is judged by: the last poses; every third if the rest were too few; else the end of every pose."""
+def held_out(intervals: Sequence[Interval], share: float, *, ordered: bool = False) -> tuple[list[Interval], str]:
+    """What a model is judged by: the last poses; every third if the rest were too few, or if they come in an `ordered`
+    sequence of faces, the last of which nothing else shows; else the end of every pose.
+    """
     poses = sorted((one for one in intervals if not one.turns), key=_begin)
     turns = [one for one in intervals if one.turns]
     needed, count = PARAMETERS + ROOM_FOR_FIT, len(poses)
     last = count - round(share * count)
-    if last >= needed:
+    if last >= needed and not ordered:
         begin = poses[last].first
         early = {one.angle for one in turns if one.first < begin}
         late = [_marked(one, one.first >= begin and one.angle in early) for one in turns]
         said = f"held out: the last {count - last} of {count} poses, and turns then that were made before too"
         return [*(_marked(one, one.first >= begin) for one in poses), *late], said
     if count - count // HELD_OUT >= needed:
-        said = f"held out: every third of {count} poses, because the last {count - last} cannot be spared"
+        why = "they go round the faces in order" if ordered else f"the last {count - last} cannot be spared"
+        said = f"held out: every third of {count} poses, because {why}"
         return [*(_marked(one, k % HELD_OUT == HELD_OUT - 1) for k, one in enumerate(poses)), *turns], said
     pieces = [piece for one in poses for piece in _cut(one, share)]
     said = (
@@ -206,42 +209,74 @@ def _means(
     intervals: Sequence[Interval], notes: Sequence[str],
 ) -> PosedRecords:  # fmt: skip
     """Means over the intervals and how noisy they are."""
-    rows = [slice(one.first, one.last) for one in intervals]
-    observed = np.array([[_mean(channel[here]) for here in rows] for channel in numbers])
-    begin = np.array([time[one.first] for one in intervals])
-    seconds = np.array([(one.last - one.first) / rate for one in intervals])
-    rest = [here for one, here in zip(intervals, rows, strict=True) if not one.turns]
-    variance = np.zeros_like(observed)
-    _refuse_dead(foreign, table, channels, [numbers[:, part] for part in rest])
-    for here in (one for one in (channels.of("acceleration"), channels.of("rate")) if len(one)):
-        models = noises_at_rest([[numbers[c][part] for part in rest] for c in here], rate)
-        for c, model in zip(here, models, strict=True):
-            variance[c] = _variance(model, begin, seconds)
-    still = np.array([not one.turns and not one.rest for one in intervals])
-    floor, said = _floor(channels, observed, variance, still)
-    conditions = {
-        name: np.array([_mean(values[here]) for here in rows])
-        for name, values in ((name, foreign.condition(table, name)) for name in CONDITIONS)
-    }
-    gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
+    conditions = {name: foreign.condition(table, name) for name in CONDITIONS}
+    whole = Whole(f"{foreign.run} {table.label}", foreign.run, channels, numbers, time, rate, conditions)
     gravity = foreign.manifest.gravity
-    return PosedRecords(
-        name=f"{foreign.run}#{number}", run=foreign.run, channels=channels, observed=observed,
-        variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
-        u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
-        held=np.array([one.held for one in intervals]), gravity=gravity.value, u_gravity=gravity.uncertainty,
-        up=np.stack([signed(one.up) for one in intervals], axis=1),
-        notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
-    )  # fmt: skip
+    return whole.posed(f"{foreign.run}#{number}", intervals, (gravity.value, gravity.uncertainty), notes)
 
 
-def _refuse_dead(foreign: Foreign, table: Table, channels: Channels, parts: Sequence[Array]) -> None:
+@dataclass(frozen=True)
+class Whole:
+    """A record with parts at rest: `numbers` of the channels (c, n) V at `time` (n,) s, `rate` of them in a part, Hz,
+    and `conditions` by name (n,). `where` it is, for who reads what is wrong with it.
+    """
+
+    where: str
+    run: str
+    channels: Channels
+    numbers: Array
+    time: Array
+    rate: float
+    conditions: Mapping[str, Array]
+    zero: Array | None = None  # (c,): zero outputs where a fit begins, V
+
+    def posed(
+        self, name: str, intervals: Sequence[Interval], gravity: tuple[float, float], notes: Sequence[str]
+    ) -> PosedRecords:
+        """Means over the intervals and how noisy they are; local gravity with its uncertainty, m/s².
+
+        Raises BadInput for a channel that shows one number throughout.
+        """
+        channels = self.channels
+        rows = [slice(one.first, one.last) for one in intervals]
+        observed = np.array([[_mean(channel[here]) for here in rows] for channel in self.numbers])
+        begin = np.array([self.time[one.first] for one in intervals])
+        seconds = np.array([(one.last - one.first) / self.rate for one in intervals])
+        variance = self._variance([here for one, here in zip(intervals, rows, strict=True) if not one.turns], begin,
+                                  seconds)  # fmt: skip
+        still = np.array([not one.turns and not one.rest for one in intervals])
+        floor, said = _floor(
+            channels, observed if self.zero is None else observed - self.zero[:, None], variance, still
+        )
+        conditions = {k: np.array([_mean(v[here]) for here in rows]) for k, v in self.conditions.items()}
+        gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
+        return PosedRecords(
+            name=name, run=self.run, channels=channels, observed=observed,
+            variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
+            u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
+            held=np.array([one.held for one in intervals]), gravity=gravity[0], u_gravity=gravity[1],
+            zero=self.zero, up=np.stack([signed(one.up) for one in intervals], axis=1),
+            notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
+        )  # fmt: skip
+
+    def _variance(self, rest: Sequence[slice], begin: Array, seconds: Array) -> Array:
+        """Of the mean of every interval, from the parts at rest, (c, intervals)."""
+        _refuse_dead(self.where, self.channels, [self.numbers[:, part] for part in rest])
+        variance = np.zeros((len(self.numbers), len(begin)))
+        for here in (one for one in (self.channels.of("acceleration"), self.channels.of("rate")) if len(one)):
+            models = noises_at_rest([[self.numbers[c][part] for part in rest] for c in here], self.rate)
+            for c, model in zip(here, models, strict=True):
+                variance[c] = _variance(model, begin, seconds)
+        return variance
+
+
+def _refuse_dead(where: str, channels: Channels, parts: Sequence[Array]) -> None:
     """A channel that shows one and the same number throughout has no noise to weigh it with. Raises BadInput."""
     for c, name in enumerate(channels.names):
         seen = np.concatenate([part[c][np.isfinite(part[c])] for part in parts])
         if not len(seen) or not np.ptp(seen) > 0.0:
             what = "no number at rest" if not len(seen) else f"nothing but {seen[0]:g} at rest"
-            raise BadInput(f"{foreign.run} {table.label}, {name}: found {what}, wanted a sensor's readings")
+            raise BadInput(f"{where}, {name}: found {what}, wanted a sensor's readings")
 
 
 def _mean(values: Array) -> float:

@@ -1,0 +1,55 @@
+"""A tumble on the rig's own bench is a part of a fit: its poses judge every triad by gravity."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import fast_bench
+import pytest
+
+from rig.diagnose.diagnose import diagnose
+from rig.diagnose.misfit import compare
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence, evidence_of
+
+
+@lru_cache(maxsize=2)
+def tumbled(name: str = "", poses: int = 24) -> Evidence:
+    hidden = [{"name": name, "parameters": {"quantity": "acceleration", "coefficient": 2e-3}}] if name else []
+    world = fast_bench.world(3, hidden)
+    return evidence_of([fast_bench.measure({"procedure": "tumble", "poses": poses, "record": "2 s"}, world)])
+
+
+def test_every_unit_is_a_part_and_a_clean_world_leaves_nothing_but_noise() -> None:
+    evidence = tumbled()
+    assert {part.experiment for part in evidence.parts} == {"poses"}
+    assert len({part.name for part in evidence.parts}) == len(evidence.parts) == 4  # three triads and the gyros
+    found = compare(evidence)
+    assert adequacy.adequate(found.fit)
+    for group in found.groups:
+        assert 0.7 < group.ratio < 1.3
+        assert group.heldout_ratio < 2.5
+
+
+def test_sensitivities_by_gravity_are_those_of_a_sweep_within_their_uncertainty() -> None:
+    world = fast_bench.world(3, [])
+    swept = evidence_of([fast_bench.measure({"procedure": "frequency_sweep", "axis": "x"}, world)]).fitted()
+    posed = tumbled().fitted()
+    for name in ("unit_a_x", "unit_b_x"):
+        us = [float(one.covariance[k, k]) ** 0.5 for one in (swept, posed) for k in (one.layout.gains[name],)]
+        apart = swept.state.gain[name] - posed.state.gain[name]
+        assert abs(apart) < 4.0 * (us[0] ** 2 + us[1] ** 2) ** 0.5
+        assert us[1] < 2e-3
+
+
+def test_a_nonlinearity_that_gravity_shows_is_named_from_poses_alone() -> None:
+    found = diagnose(tumbled("quadratic"))
+    assert found.verdict == "missing"
+    assert "quadratic" in {one.name for step in found.steps for one in step.members}
+
+
+@pytest.mark.parametrize("poses", [6, 12])
+def test_few_poses_are_compared_and_said_to_be_few(poses: int) -> None:
+    evidence = tumbled(poses=poses)
+    assert adequacy.adequate(evidence.fitted())
+    assert any("attitudes are fewer" in said for said in evidence.blind) == (poses < 9)

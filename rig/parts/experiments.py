@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rig.parts.part import Option, Part
-from rig.parts.sines import Sines
-from rig.parts.turning import Turning
+from rig.parts.platter import Platter
+from rig.parts.sweep import Sweep
 
-OWN: tuple[type[Sines] | type[Turning], ...] = (Sines, Turning)
+OWN: tuple[type[Sweep] | type[Platter], ...] = (Sweep, Platter)
 
 
 def _of(kind: type[Part], parts: Sequence[Part]) -> list[Any]:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.motion import Array
+from rig.parts.platter_records import PlatterRecords
 from rig.parts.remainder import Cut, Mask, Remainder, Series
-from rig.parts.sine_cuts import terciles
-from rig.parts.turn_records import TurnRecords
+from rig.parts.sweep_cuts import terciles
 
 BANDS = ((0.0, 0.3), (0.3, 1.2), (1.2, 3.0), (3.0, 20.0))  # Hz
 STEADY = 0.02  # of the rate
@@ -28,7 +28,7 @@ _TIMES = {1: "once", 2: "twice", 3: "three times"}
 class Rows:
     """Rows of one channel of a turntable run: the means of the stretches, then the cosine lines of each."""
 
-    data: TurnRecords
+    data: PlatterRecords
 
     @cached_property
     def stretch_of(self) -> NDArray[np.intp]:
@@ -128,7 +128,7 @@ def _speed(rate: float) -> str:
     return near[0] if near else f"{rpm:.0f}"
 
 
-def _inverted(data: TurnRecords, window: int) -> bool:
+def _inverted(data: PlatterRecords, window: int) -> bool:
     label = next(n for n, (b, e) in zip(data.labels, data.records, strict=True) if b <= window < e)
     up = data.up[:, window]
     return "inverted" in label or float(up[np.argmax(np.abs(up))]) < 0.0

@@ -8,8 +8,8 @@ import numpy as np
 
 from rig.motion import Array
 from rig.parts.laws import Shape, conditions
+from rig.parts.platter_records import PlatterRecords
 from rig.parts.remainder import Growth, Prediction, Reversal
-from rig.parts.turn_records import TurnRecords
 
 SMOOTH = 2.0  # s, about one revolution
 NEAR = 0.1  # relative difference of two rates that are compared
@@ -17,7 +17,7 @@ SEEN = 3.0  # standard deviations
 MEANS = "mean, moving"
 
 
-def shapes(data: TurnRecords, component: str) -> Iterator[Shape]:
+def shapes(data: PlatterRecords, component: str) -> Iterator[Shape]:
     """Laws of a component; for an order per revolution only those of that order, as wow itself has others."""
     size = data.channels.sensitivity[:, None] * 1e-3
     for words, signals in _signals(data):
@@ -28,7 +28,7 @@ def shapes(data: TurnRecords, component: str) -> Iterator[Shape]:
         yield Shape(words, tuple(size * np.broadcast_to(s, (len(size), len(s))) for s in signals))
 
 
-def _signals(data: TurnRecords) -> Iterator[tuple[str, Sequence[Array]]]:
+def _signals(data: PlatterRecords) -> Iterator[tuple[str, Sequence[Array]]]:
     """Laws of a platter in words, with signals (n,) that belong to them."""
     axis = int(np.argmax(np.abs(data.up).mean(axis=1)))
     platter = data.counted.rate
@@ -52,7 +52,7 @@ def _signals(data: TurnRecords) -> Iterator[tuple[str, Sequence[Array]]]:
         yield f"follows {name} and the rate", (drift * w,)
 
 
-def _smooth(data: TurnRecords, values: Array) -> Array:
+def _smooth(data: PlatterRecords, values: Array) -> Array:
     """Without wow and what the encoder itself adds, which would bring orders of their own into every power; (n,)."""
     from scipy.ndimage import uniform_filter1d
 
@@ -63,7 +63,7 @@ def _smooth(data: TurnRecords, values: Array) -> Array:
     return values
 
 
-def _stretches(data: TurnRecords, row: int, found: Prediction) -> tuple[Array, Array, Array]:
+def _stretches(data: PlatterRecords, row: int, found: Prediction) -> tuple[Array, Array, Array]:
     """Mean rate in the case, mean of what is left of a channel, SI, and its standard deviation, for every stretch."""
     sensitivity = float(data.channels.sensitivity[row])
     left = np.asarray((data.observed[row] - found.predicted[row]) / sensitivity).real
@@ -75,7 +75,7 @@ def _stretches(data: TurnRecords, row: int, found: Prediction) -> tuple[Array, A
     return rate, mean, np.sqrt(variance) / abs(sensitivity)
 
 
-def growth(data: TurnRecords, domain: str, row: int, found: Prediction) -> Growth | None:
+def growth(data: PlatterRecords, domain: str, row: int, found: Prediction) -> Growth | None:
     """Means of the stretches against the rate."""
     if domain != MEANS:
         return None
@@ -84,7 +84,7 @@ def growth(data: TurnRecords, domain: str, row: int, found: Prediction) -> Growt
     return Growth(np.abs(mean[used]), sigma[used], {"rate": np.abs(rate[used])})
 
 
-def reversal(data: TurnRecords, domain: str, row: int, found: Prediction) -> Reversal | None:
+def reversal(data: PlatterRecords, domain: str, row: int, found: Prediction) -> Reversal | None:
     """Sum against difference of stretches that turn alike in both senses."""
     if domain != MEANS:
         return None

@@ -9,12 +9,12 @@ import numpy as np
 
 from rig.motion import Array
 from rig.parts.part import Option, Part
-from rig.parts.turn_records import TurnRecords
+from rig.parts.platter_records import PlatterRecords
 
 MINUTES_MOUNT = 4.0  # of an operator: mount, cables
 
 
-def options(data: TurnRecords, make: Callable[[TurnRecords], Part]) -> Iterator[Option]:
+def options(data: PlatterRecords, make: Callable[[PlatterRecords], Part]) -> Iterator[Option]:
     """Turntable runs that the bench can do: again, at another radius, turned, with another axis up, later."""
     axis = ["yaw", "pitch", "roll"][int(np.argmax(np.abs(data.up[[1, 2, 0], 0])))]
     radius = float(data.radius[0])
@@ -42,12 +42,12 @@ def options(data: TurnRecords, make: Callable[[TurnRecords], Part]) -> Iterator[
                  lambda: make(shifted))  # fmt: skip
 
 
-def _turned(data: TurnRecords, which: int) -> Array:
+def _turned(data: PlatterRecords, which: int) -> Array:
     """Outward (1) or tangent (2) of a cube turned by a right angle about the platter's axis."""
     return data.tangent * -1.0 if which == 1 else data.outward
 
 
-def _reaxed(data: TurnRecords, axis: str, other: str) -> TurnRecords:
+def _reaxed(data: PlatterRecords, axis: str, other: str) -> PlatterRecords:
     """The same run with another gyro axis on the platter's: case axes in cyclic order."""
     place = {"roll": 0, "yaw": 1, "pitch": 2}
     shift = (place[other] - place[axis]) % 3

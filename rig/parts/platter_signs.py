@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from rig.parts.platter_records import PlatterRecords
 from rig.parts.remainder import Sign
-from rig.parts.turn_records import TurnRecords
 
 MOVING = 0.5  # rad/s
 
 
-def signs(runs: Sequence[TurnRecords]) -> Iterator[Sign]:
+def signs(runs: Sequence[PlatterRecords]) -> Iterator[Sign]:
     """Lines that are missing between index pulses."""
     lost, lines = sum(data.lost for data in runs), sum(data.lines for data in runs)
     if lost:
@@ -22,7 +22,7 @@ def signs(runs: Sequence[TurnRecords]) -> Iterator[Sign]:
         yield Sign("missed_counts", {"share": lost / lines}, {"share": math.sqrt(lost) / lines}, 1000.0 * lost, because)
 
 
-def lacks(runs: Sequence[TurnRecords]) -> Iterator[str]:
+def lacks(runs: Sequence[PlatterRecords]) -> Iterator[str]:
     """What these runs cannot show."""
     if not runs:
         yield "no turntable run: everything that only a rate shows, the gyros' nonlinearity and asymmetry among it"
@@ -33,7 +33,7 @@ def lacks(runs: Sequence[TurnRecords]) -> Iterator[str]:
         yield "no static record on the turntable: zero output of the gyros and its drift"
 
 
-def _senses(data: TurnRecords) -> list[float]:
+def _senses(data: PlatterRecords) -> list[float]:
     """The encoder turns one way; which way the unit feels it depends on what is up."""
     rate = data.counted.rate
     up = data.up[np.argmax(np.abs(data.up), axis=0), np.arange(data.up.shape[1])]
@@ -41,7 +41,7 @@ def _senses(data: TurnRecords) -> list[float]:
     return [float(one) for one in np.unique(np.sign(felt[np.isfinite(felt)]))]
 
 
-def unmeasured(runs: Sequence[TurnRecords]) -> Iterator[tuple[str, str]]:
+def unmeasured(runs: Sequence[PlatterRecords]) -> Iterator[tuple[str, str]]:
     """What a turntable run could still measure, and the command."""
     if not runs:
         yield "no turntable run: nothing that only a rate shows", "rig turntable --all"

@@ -56,7 +56,7 @@ class Still:
 
 
 @dataclass(frozen=True)
-class PosedRecords:
+class PoseRecords:
     """Means of c channels over n poses and turns of one record, in the order of time.
 
     `observed` (c, n) V, NaN where there is none, with the noise's `variance` (c, n) V². `turn` is the known angle as a
@@ -92,7 +92,7 @@ class Felt:
     volts: Array
 
 
-class Posed(Part):
+class Poses(Part):
     """Poses and turns as a part of a fit. One nuisance: local gravity, within its uncertainty.
 
     Raises BadInput for accelerometers that are no triad of x, y and z.
@@ -101,7 +101,7 @@ class Posed(Part):
     experiment = "poses"
     drawing = "poses"
 
-    def __init__(self, data: PosedRecords) -> None:
+    def __init__(self, data: PoseRecords) -> None:
         self.data, self.grid = data, Still()
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self._triad, self._gyros = _triad(data), data.channels.of("rate")
@@ -314,7 +314,7 @@ class Posed(Part):
         )
 
 
-def _triad(data: PosedRecords) -> NDArray[np.intp]:
+def _triad(data: PoseRecords) -> NDArray[np.intp]:
     """The accelerometers along x, y and z; none if there are none."""
     found = data.channels.of("acceleration")
     axes = data.channels.axis[found]
@@ -330,7 +330,7 @@ def _different(direction: Array) -> int:
     return int(np.count_nonzero(near.argmax(axis=1) == np.arange(len(near))))
 
 
-def _blind(data: PosedRecords, attitudes: int) -> list[str]:
+def _blind(data: PoseRecords, attitudes: int) -> list[str]:
     """What such a record cannot show; `attitudes` of a triad, zero without one."""
     said = ["poses at rest: dynamics, delays and noise above the frequency of the poses are not looked at"]
     turned = np.any(data.turn != 0.0, axis=0)

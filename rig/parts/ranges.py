@@ -8,11 +8,11 @@ import numpy as np
 
 from rig import units
 from rig.archive.records import Recorded
-from rig.parts.sines import Sines
-from rig.parts.turning import Turning
+from rig.parts.platter import Platter
+from rig.parts.sweep import Sweep
 
 
-def beyond_range(run: Recorded, part: Sines | Turning) -> Iterator[str]:
+def beyond_range(run: Recorded, part: Sweep | Platter) -> Iterator[str]:
     """One sentence for every channel of a part of this run that felt more than its part is made for."""
     stated, motion = run.header["sensor"]["channels"], part.moved(())
     for row, name in enumerate(part.channels.names):

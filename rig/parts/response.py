@@ -32,7 +32,7 @@ CONFOUNDED = 0.8  # correlation of the logarithms of level and frequency
 
 
 @dataclass(frozen=True)
-class ResponseTable:
+class ResponseRecords:
     """p measured points of one channel: `frequency` Hz, `excitation` m/s², complex `ratio`, standard uncertainties of
     `magnitude` (of the ratio's unit) and `phase` (rad) as stated, zero where nothing is; `repeat` counts them at each
     frequency; all (p,). `held_out` (p,): a model is judged by them.
@@ -58,14 +58,14 @@ def places_of(frequency: Array) -> NDArray[np.intp]:
     return np.cumsum(new) - 1
 
 
-class Responding(Part):
+class ResponseTable(Part):
     """A table of frequency responses as a part of a fit. Raises BadInput without repeats and uncertainties."""
 
     experiment = "shaker"
     drawing = "response"
     formulas = OF_SHAKER
 
-    def __init__(self, data: ResponseTable) -> None:
+    def __init__(self, data: ResponseRecords) -> None:
         self.data = data
         super().__init__(data.name, data.run, data.channels, 2 * len(data.frequency), notes=data.notes,
                          blind=_blind(data))  # fmt: skip
@@ -233,7 +233,7 @@ class Responding(Part):
         return "response"
 
 
-def _blind(data: ResponseTable) -> tuple[str, ...]:
+def _blind(data: ResponseRecords) -> tuple[str, ...]:
     """What such a table cannot show."""
     level, f = data.excitation, data.frequency
     said = ["one response per frequency: zero output, harmonics and noise are not in the table"]

@@ -12,10 +12,10 @@ import numpy as np
 from rig.diagnose.misfit import Condition
 from rig.fit.fit import Fit
 from rig.motion import Array
-from rig.parts.following import Following
-from rig.parts.poses import GRAVITY, Posed
+from rig.parts.poses import GRAVITY, Poses
 from rig.parts.remainder import Mask
-from rig.parts.response import Responding
+from rig.parts.response import ResponseTable
+from rig.parts.track import TrackedMotion
 from rig.report.misfit_frame import APART, BAND, legend, new, plain, title
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Response:
     place: np.ndarray[tuple[int], np.dtype[np.intp]]
 
 
-def response_of(part: Responding, left: Array) -> Response:
+def response_of(part: ResponseTable, left: Array) -> Response:
     """The means of a table from what is left over of its rows in standard deviations, (rows,)."""
     data, kinds = part.data, part.domains()
     first = np.flatnonzero(kinds["magnitude"][0::2])
@@ -73,7 +73,7 @@ def response_of(part: Responding, left: Array) -> Response:
 
 def response(fit: Fit, numbers: Sequence[int], worst: Sequence[Condition]) -> Figure:
     """Every table of frequency responses in one figure: magnitude and phase, and below what the model leaves over."""
-    parts = [cast(Responding, fit.parts[number]) for number in numbers]
+    parts = [cast(ResponseTable, fit.parts[number]) for number in numbers]
     figure, axes = new(2, 2, (10.0, 6.6), title("Frequency response", worst), sharex=True)
     labels = _labels(parts)
     for k, (label, part, number) in enumerate(zip(labels, parts, numbers, strict=True)):
@@ -87,7 +87,7 @@ def response(fit: Fit, numbers: Sequence[int], worst: Sequence[Condition]) -> Fi
     return figure
 
 
-def _labels(parts: Sequence[Responding]) -> list[str]:
+def _labels(parts: Sequence[ResponseTable]) -> list[str]:
     """The run, the channel where they differ, and the number of the table where that is still not enough."""
     several = len({part.channels.names[0] for part in parts}) > 1
     said = [f"{part.run}, {part.channels.names[0]}" if several else part.run for part in parts]
@@ -153,7 +153,7 @@ class Followed:
         return np.asarray(self.measured - self.model)
 
 
-def followed_of(fit: Fit, number: int, part: Following, *, rates: bool) -> Followed | None:
+def followed_of(fit: Fit, number: int, part: TrackedMotion, *, rates: bool) -> Followed | None:
     """The gyros or the accelerometers of a part; None if there are none."""
     rows = np.flatnonzero(part.channels.rates == rates)
     if not len(rows):
@@ -170,7 +170,7 @@ def followed_of(fit: Fit, number: int, part: Following, *, rates: bool) -> Follo
     return Followed(names, axis, measured, model, motion, part.variance[rows] / sensitivity**2, inside)
 
 
-def following(fit: Fit, number: int, part: Following, worst: Sequence[Condition]) -> Figure:
+def following(fit: Fit, number: int, part: TrackedMotion, worst: Sequence[Condition]) -> Figure:
     """Gyros and accelerometers, a column each: a stretch of time of the worst axis, what is left over, and spectra."""
     found = [(rates, followed_of(fit, number, part, rates=rates)) for rates in (True, False)]
     there = [(rates, one) for rates, one in found if one is not None]
@@ -186,7 +186,7 @@ def _unit(rates: bool) -> tuple[float, str]:
     return (180.0 / math.pi, "°/s") if rates else (1.0, "m/s²")
 
 
-def _over_time(axes: Any, part: Following, one: Followed, *, rates: bool) -> None:
+def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) -> None:
     """The channel with the largest error while its motion is strongest, within the compared band."""
     row = int(np.argmax(np.sum(one.error**2, axis=1)))
     scale, unit = _unit(rates)
@@ -217,7 +217,7 @@ def _of_axis(one: Followed, row: int) -> str:
     return APART[(one.axis[row] + 3 * before) % len(APART)]
 
 
-def _signal(part: Following, lines: Array) -> Array:
+def _signal(part: TrackedMotion, lines: Array) -> Array:
     """The signal that has these lines, stretch after stretch, (n,)."""
     from scipy.fft import idct
 
@@ -227,7 +227,7 @@ def _signal(part: Following, lines: Array) -> Array:
     return np.concatenate(found)
 
 
-def _strongest(part: Following, lines: Array) -> slice:
+def _strongest(part: TrackedMotion, lines: Array) -> slice:
     """Some seconds among the stretches' instants, without a gap, in which the signal of these lines varies most."""
     f = part.frequency_of
     square = lines**2 * (f > 0.0)
@@ -242,7 +242,7 @@ def _strongest(part: Following, lines: Array) -> slice:
     return slice(begin, begin + size)
 
 
-def _spectra(ax: Any, part: Following, one: Followed, *, rates: bool) -> None:
+def _spectra(ax: Any, part: TrackedMotion, one: Followed, *, rates: bool) -> None:
     """Amplitude spectral densities of every channel: error, motion, and noise as a band as wide as it is uncertain."""
     scale, unit = _unit(rates)
     spread = np.sqrt(1.0 + COVERAGE * part.allowance * np.array([[-1.0], [1.0]]))
@@ -264,7 +264,7 @@ def _spectra(ax: Any, part: Following, one: Followed, *, rates: bool) -> None:
     legend(ax, 5)
 
 
-def _density(part: Following, inside: Mask, power: Array) -> tuple[Array, Array]:
+def _density(part: TrackedMotion, inside: Mask, power: Array) -> tuple[Array, Array]:
     """Frequency of bins, Hz, (bins,), and amplitude spectral densities, one-sided, unit/√Hz, (k, bins).
 
     `power` (k, width) of cosine lines, which is density ÷ 2·interval (orthonormal transform).
@@ -294,7 +294,7 @@ class Stood:
     turned: Mask
 
 
-def stood_of(fit: Fit, number: int, part: Posed) -> Stood:
+def stood_of(fit: Fit, number: int, part: Poses) -> Stood:
     """The same rows in units that a person reads."""
     left = np.where(part.counted, _left(fit, number), np.nan).reshape(len(part.row_names), -1)
     u = np.sqrt(part.noise())
@@ -310,7 +310,7 @@ def stood_of(fit: Fit, number: int, part: Posed) -> Stood:
     return Stood(above, u[0] if triad else np.zeros(0), rate, size, gyros, turned)
 
 
-def poses(fit: Fit, number: int, part: Posed, worst: Sequence[Condition]) -> Figure:
+def poses(fit: Fit, number: int, part: Poses, worst: Sequence[Condition]) -> Figure:
     """Magnitude of gravity and rates at rest over the poses, and the angles that known turns are off."""
     shown = stood_of(fit, number, part)
     still = ~shown.turned
@@ -326,7 +326,7 @@ def poses(fit: Fit, number: int, part: Posed, worst: Sequence[Condition]) -> Fig
     return figure
 
 
-def _gravities(ax: Any, part: Posed, shown: Stood) -> None:
+def _gravities(ax: Any, part: Poses, shown: Stood) -> None:
     """|a| − g over the poses, by the axis that is upright."""
     still = np.flatnonzero(~shown.turned)
     pose = np.arange(1.0, len(still) + 1.0)
@@ -363,7 +363,7 @@ def _counted(ax: Any, count: int) -> None:
     ax.xaxis.set_major_locator(MaxNLocator(nbins=20, integer=True))
 
 
-def _rests(ax: Any, part: Posed, shown: Stood) -> None:
+def _rests(ax: Any, part: Poses, shown: Stood) -> None:
     """What the gyros show at rest, less their zeros."""
     still = np.flatnonzero(~shown.turned)
     pose = np.arange(1.0, len(still) + 1.0)
@@ -377,7 +377,7 @@ def _rests(ax: Any, part: Posed, shown: Stood) -> None:
     legend(ax, 4)
 
 
-def _turns(ax: Any, part: Posed, shown: Stood) -> None:
+def _turns(ax: Any, part: Poses, shown: Stood) -> None:
     """What every gyro integrates to over a turn about its own axis, less the known angle."""
     turns = np.flatnonzero(shown.turned)
     about = np.abs(part.data.turn[:, turns]).argmax(axis=0)

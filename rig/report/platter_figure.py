@@ -11,8 +11,8 @@ import numpy as np
 from rig.diagnose.misfit import Condition
 from rig.fit.fit import Fit
 from rig.motion import Array
+from rig.parts.platter import Platter
 from rig.parts.platter_cuts import STEADY
-from rig.parts.turning import Turning
 from rig.report.misfit_frame import BAND, colour, legend, new, title
 from rig.units import STANDARD_GRAVITY
 
@@ -26,7 +26,7 @@ ORDER_BIN = 0.1
 MOST = 4  # channels in a turntable figure
 
 
-def turntable(fit: Fit, number: int, part: Turning, worst: Sequence[Condition]) -> Figure:
+def turntable(fit: Fit, number: int, part: Platter, worst: Sequence[Condition]) -> Figure:
     """Gyros on the axis, and what stands out, over time, over a revolution, and by order per revolution."""
     figure, axes = new(3, 1, (10.0, 9.0), title(part.name.split("#")[0], worst))
     time, angle, orders = axes[:, 0]
@@ -65,7 +65,7 @@ def _plain_powers(ax: Any) -> None:
     ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _shown(part: Turning, worst: Sequence[Condition]) -> list[int]:
+def _shown(part: Platter, worst: Sequence[Condition]) -> list[int]:
     """Rows of the gyros on the axis and of channels that stand out, four at most."""
     axis = int(np.argmax(np.abs(part.data.up).mean(axis=1)))
     channels = part.channels
@@ -74,13 +74,13 @@ def _shown(part: Turning, worst: Sequence[Condition]) -> list[int]:
     return [k for k in dict.fromkeys([*more[: MOST - len(rows)], *rows, *more]) if part.data.usable[k]][:MOST]
 
 
-def _deviation(part: Turning, row: int, seconds: float) -> float:
+def _deviation(part: Platter, row: int, seconds: float) -> float:
     """Standard deviation of a mean over so many seconds, V."""
     variance = part.data.noise[row].covariance(np.zeros(1), np.full(1, seconds))
     return math.sqrt(float(variance[0, 0]))
 
 
-def _over_time(ax: Any, part: Turning, row: int, left: Array, sensitivity: float, colour: Any) -> None:
+def _over_time(ax: Any, part: Platter, row: int, left: Array, sensitivity: float, colour: Any) -> None:
     size = max(1, round(SECONDS / part.data.interval))
     sigma = _deviation(part, row, size * part.data.interval) / abs(sensitivity)
     start, name = float(part.data.time[0]), part.channels.names[row]
@@ -94,13 +94,13 @@ def _over_time(ax: Any, part: Turning, row: int, left: Array, sensitivity: float
             label = None
 
 
-def _physical(part: Turning, row: int, value: float) -> str:
+def _physical(part: Platter, row: int, value: float) -> str:
     if part.channels.rates[row]:
         return f"{math.degrees(value):.2g} °/s"
     return f"{value / STANDARD_GRAVITY * 1e3:.2g} mg"
 
 
-def _runs(part: Turning) -> list[tuple[int, int]]:
+def _runs(part: Platter) -> list[tuple[int, int]]:
     """Neighbouring stretches joined, so that a line is drawn through them."""
     joined: list[tuple[int, int]] = []
     for begin, end in part.data.stretches:
@@ -111,13 +111,13 @@ def _runs(part: Turning) -> list[tuple[int, int]]:
     return joined
 
 
-def _holds(part: Turning) -> list[tuple[int, int]]:
+def _holds(part: Platter) -> list[tuple[int, int]]:
     """Stretches at a steady speed."""
     shown = [(hold, part.data.counted.rate[slice(*hold)]) for hold in part.data.stretches]
     return [hold for hold, rate in shown if rate.any() and np.std(rate) < STEADY * abs(rate.mean())]
 
 
-def _over_angle(ax: Any, part: Turning, row: int, left: Array, sensitivity: float, colour: Any) -> None:
+def _over_angle(ax: Any, part: Platter, row: int, left: Array, sensitivity: float, colour: Any) -> None:
     """Means in bins of the platter's angle, each stretch less its own mean."""
     up = part.data.up[int(np.argmax(np.abs(part.data.up).mean(axis=1)))]
     for sense, style in ((1.0, "-"), (-1.0, "--")):
@@ -137,7 +137,7 @@ def _over_angle(ax: Any, part: Turning, row: int, left: Array, sensitivity: floa
         ax.plot((np.arange(BINS) + 0.5) * 360.0 / BINS, mean / sigma, style, linewidth=1.0, color=colour)
 
 
-def _bin_deviation(part: Turning, row: int, rate: float, count: float) -> float:
+def _bin_deviation(part: Platter, row: int, rate: float, count: float) -> float:
     """Standard deviation of a bin's mean, V: noise around the rate's frequency averaged over its windows."""
     f = np.arange(1, 65) / 128.0 / part.data.interval
     f = f[f >= 0.5 * rate / (2.0 * math.pi)]
@@ -145,7 +145,7 @@ def _bin_deviation(part: Turning, row: int, rate: float, count: float) -> float:
     return math.sqrt(density / (2.0 * part.data.interval) / count)
 
 
-def _by_order(ax: Any, part: Turning, squares: Array, used: Any, colour: Any) -> None:
+def _by_order(ax: Any, part: Platter, squares: Array, used: Any, colour: Any) -> None:
     """Mean square of what is left, in units of the noise's, in bins of order, over stretches at a steady speed."""
     steady = {part.data.stretches.index(hold) for hold in _holds(part)}
     rate = np.array([abs(float(part.data.counted.rate[b:e].mean())) for b, e in part.data.stretches]) / (2.0 * math.pi)

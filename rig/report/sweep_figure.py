@@ -12,9 +12,9 @@ from rig.diagnose.misfit import Condition
 from rig.fit.fit import Fit
 from rig.motion import Array
 from rig.parts.remainder import Mask
-from rig.parts.sine_cuts import turned
-from rig.parts.sine_records import domains, split
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_cuts import turned
+from rig.parts.sweep_records import domains, split
 from rig.report.misfit_frame import BAND, colour, legend, new, plain, title
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ NOISY = 4.0  # times the noise of the best channel
 STEADY = 0.02  # of the frequency
 
 
-def shaker(fit: Fit, number: int, part: Sines, worst: Sequence[Condition]) -> Figure:
+def shaker(fit: Fit, number: int, part: Sweep, worst: Sequence[Condition]) -> Figure:
     """Magnitude and phase of the driven line, and the worst of the other lines, over frequency.
 
     Left in units of the noise, right in per cent, degrees and mm/s². Channels along the drive; others in the last row
@@ -47,7 +47,7 @@ def shaker(fit: Fit, number: int, part: Sines, worst: Sequence[Condition]) -> Fi
     return figure
 
 
-def _precise(part: Sines, rows: Sequence[int], worst: Sequence[Condition]) -> list[int]:
+def _precise(part: Sweep, rows: Sequence[int], worst: Sequence[Condition]) -> list[int]:
     """Without channels whose noise would hide the others in physical units, unless they stand out."""
     driven = part.data.index >= 0
     noise = np.sqrt(part.data.variance[:, driven, 1]) / np.abs(part.channels.sensitivity[:, None])
@@ -57,7 +57,7 @@ def _precise(part: Sines, rows: Sequence[int], worst: Sequence[Condition]) -> li
     return [row for row in rows if size[row] <= NOISY * least or part.channels.names[row] in loud]
 
 
-def _relative(fit: Fit, number: int, part: Sines) -> Any:
+def _relative(fit: Fit, number: int, part: Sweep) -> Any:
     """Driven line, observed ÷ predicted − 1, complex, (c, p): relative magnitude, and phase in rad."""
     wanted = part.raw(fit.state.local(part, number), fit.state.terms)[..., 1]
     with np.errstate(all="ignore"):
@@ -65,7 +65,7 @@ def _relative(fit: Fit, number: int, part: Sines) -> Any:
 
 
 def _other(
-    fit: Fit, number: int, part: Sines, left: Array, worst: Sequence[Condition], axes: Any, along: Sequence[int]
+    fit: Fit, number: int, part: Sweep, left: Array, worst: Sequence[Condition], axes: Any, along: Sequence[int]
 ) -> None:
     """The worst component beside the driven line: the mean, a harmonic or hum."""
     known = domains()
@@ -92,13 +92,13 @@ def _other(
         legend(axes[0], 3)
 
 
-def _of_level(part: Sines) -> bool:
+def _of_level(part: Sweep) -> bool:
     """Whether what differs between the records is the level and not the frequency."""
     f = part.data.frequency[part.data.index >= 0]
     return bool(np.ptp(f) < STEADY * f.max() and len(f) > 2)
 
 
-def _series(part: Sines) -> list[tuple[str, Mask, Array]]:
+def _series(part: Sweep) -> list[tuple[str, Mask, Array]]:
     """Points that a line joins: the level's name, which records, and where they stand along the axis, (p,)."""
     if _of_level(part):
         return [("", part.data.index >= 0, np.abs(part.data.shown[:, 1]))]
@@ -106,7 +106,7 @@ def _series(part: Sines) -> list[tuple[str, Mask, Array]]:
     return [(level, levels == level, part.data.frequency) for level in _levels(part)]
 
 
-def _levels(part: Sines) -> list[str]:
+def _levels(part: Sweep) -> list[str]:
     """Levels of the drive, the highest first."""
     size = {level: 0.0 for level in part.data.level if level != "rest"}
     for level, shown in zip(part.data.level, np.abs(part.data.shown[:, 1]), strict=True):
@@ -115,7 +115,7 @@ def _levels(part: Sines) -> list[str]:
     return sorted(size, key=lambda level: -size[level])
 
 
-def _points(ax: Any, part: Sines, values: Array, rows: Sequence[int], *, signed: bool = True) -> None:
+def _points(ax: Any, part: Sweep, values: Array, rows: Sequence[int], *, signed: bool = True) -> None:
     for row in rows:
         name = part.channels.names[row]
         for k, (_, some, at) in enumerate(_series(part)):
@@ -129,7 +129,7 @@ def _points(ax: Any, part: Sines, values: Array, rows: Sequence[int], *, signed:
         ax.axhline(0.0, color="#888888", linewidth=0.7)
 
 
-def _dressed(axes: Any, part: Sines, noisy: Sequence[str]) -> None:
+def _dressed(axes: Any, part: Sweep, noisy: Sequence[str]) -> None:
     for ax in axes[:, 0]:
         ax.axhspan(-2.0 if ax.get_ylim()[0] < -0.5 else 0.0, 2.0, color=BAND, zorder=0)
     axes[0, 0].set_ylabel("magnitude ÷ noise")
@@ -150,7 +150,7 @@ def _dressed(axes: Any, part: Sines, noisy: Sequence[str]) -> None:
         legend(axes[0, 1], 4)
 
 
-def _along_axis(ax: Any, part: Sines) -> None:
+def _along_axis(ax: Any, part: Sweep) -> None:
     if _of_level(part):
         f = float(np.median(part.data.frequency[part.data.index >= 0]))
         ax.set(xlabel=f"amplitude of the reference at {f:.3g} Hz / (m/s²)", xlim=(0.0, None))

@@ -21,8 +21,8 @@ from rig.fit.fit import Fit
 from rig.parts import experiments as bench_experiments
 from rig.parts.part import Option
 from rig.parts.ripple import Floor
-from rig.parts.sine_options import swept
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_options import swept
 from rig.shelf import shelf
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}
@@ -123,7 +123,7 @@ def _longer(question: Question, seconds: float) -> float:
     data = question.evidence.parts[0].data
     return experiments.power(
         question.truth, question.rival,
-        Sines(swept(data, "x", ("full", "quarter"), (20.0, 500.0), 24, seconds)),
+        Sweep(swept(data, "x", ("full", "quarter"), (20.0, 500.0), 24, seconds)),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from rig.diagnose.conclusion import Conclusion, conclude
 from rig.diagnose.diagnose import Diagnosis, diagnose
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
-from rig.parts.following import Following
+from rig.parts.track import TrackedMotion
 from rig.shelf import effect_of, nothing_of, shelf
 
 LATE, ARM, TILT = 8e-3, (0.02, -0.03, 0.05), (0.02, -0.03, 0.01)
@@ -104,7 +104,7 @@ def test_a_sense_that_is_stated_is_believed() -> None:
 def test_how_gravity_lies_about_a_level_axis_is_found(axis: str, lies: float) -> None:
     made = evidence(rotation(Unit(), axis=axis, upright=False, lies=lies))
     part, found = made.parts[0], made.fitted()
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     angle = part.data.phase + at(found, "gravity_angle")["angle"][0]
     turns = (angle - lies) / (2.0 * math.pi)
     assert 2.0 * math.pi * (turns - round(turns)) == pytest.approx(0.0, abs=2e-3)
@@ -175,7 +175,7 @@ def test_that_nobody_can_tell_a_delay_from_a_wrong_clock_is_said(thrown: Evidenc
 
 def test_gaps_are_left_out_and_counted(thrown: Evidence) -> None:
     part = thrown.parts[0]
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     assert len(part.data.records) >= 2
     assert any("gaps are longer" in note for note in thrown.notes)
 
@@ -194,13 +194,13 @@ def test_error_over_stated_uncertainty_of_a_lever_arm_is_near_one() -> None:
 
 def test_no_line_has_hardly_any_noise_though_the_filter_follows_it() -> None:
     part = evidence(motion(Unit(), seconds=20.0)).parts[0]
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     assert (part.variance.max(axis=1) / part.variance.min(axis=1)).max() < 1e4
 
 
 def test_noise_that_is_louder_while_the_motion_is_counts_for_more_doubt() -> None:
     part = evidence(rotation(Unit(), channels="r", seconds=30.0)).parts[0]
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     random = np.random.default_rng(1)
     fast = np.abs(part.reference.rate[2])
     signals = [random.normal(size=(3, len(fast))) for _ in range(3)]

@@ -20,11 +20,11 @@ from rig.fit.fit import Fit
 from rig.foreign import manifest
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Term
-from rig.parts.following import Following
 from rig.parts.part import Part
-from rig.parts.poses import Posed, PosedRecords
+from rig.parts.poses import PoseRecords, Poses
 from rig.parts.reading.imported import parts_of
-from rig.parts.response import Responding
+from rig.parts.response import ResponseTable
+from rig.parts.track import TrackedMotion
 from rig.report.imported_figures import following, poses, response
 from rig.report.misfit_figures import draw
 from rig.shelf import shelf
@@ -50,24 +50,24 @@ def read(folder: Path, text: str, data: Mapping[str, Array], run: str) -> Foreig
     return Foreign(run, manifest.load(path), (table,), ())
 
 
-def table(folder: Path, polarity: float = 0.0, run: str = "table") -> Responding:
+def table(folder: Path, polarity: float = 0.0, run: str = "table") -> ResponseTable:
     """A delay at six frequencies, three repeats that scatter by 1e-3 in magnitude and 1e-4 rad in phase."""
     text, data = foreign_data.responding_manifest("d.csv"), foreign_data.responding(polarity)
     data["phase"] = data["phase"] + 1e-4 * np.random.default_rng(3).normal(size=18)
     (part,) = parts_of(read(folder, text, data, run))[0]
-    assert isinstance(part, Responding)
+    assert isinstance(part, ResponseTable)
     return part
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory) -> Following:
+def turned(tmp_path_factory: pytest.TempPathFactory) -> TrackedMotion:
     folder, data = tmp_path_factory.mktemp("turned"), foreign_data.turning(delay=LATE)
     (part,) = parts_of(read(folder, foreign_data.turning_manifest("d.csv"), data, "turned"))[0]
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     return part
 
 
-def turns_and_poses(names: Sequence[str] = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")) -> Posed:
+def turns_and_poses(names: Sequence[str] = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")) -> Poses:
     """Twenty attitudes, then two turns of 360° about each axis, of which the second overshoots by 2°."""
     random = np.random.default_rng(4)
     rates = np.array([name.startswith("gyro") for name in names])
@@ -85,7 +85,7 @@ def turns_and_poses(names: Sequence[str] = ("acc_x", "acc_y", "acc_z", "gyro_x",
         names=tuple(names), rates=rates, axis=axis, slot=np.arange(count), side=np.full(count, math.nan),
         sensitivity=np.ones(count), tolerance=np.full(count, 0.2), pole=np.full(count, math.inf), unit=("u",) * count,
     )  # fmt: skip
-    return Posed(PosedRecords(
+    return Poses(PoseRecords(
         name="posed#0", run="posed", channels=made, observed=clean + 1e-4 * random.normal(size=clean.shape),
         variance=np.full(clean.shape, 1e-8), turn=turn, u_turn=np.where(turn.any(axis=0), 0.02, 0.0),
         seconds=np.full(n, 4.0), time=np.linspace(0.0, 125.0, n), held=np.arange(n) % 5 == 4,
@@ -170,7 +170,9 @@ def test_tables_of_several_runs_share_a_figure_and_are_told_apart_by_name(tmp_pa
 # motion that a reference followed
 
 
-def test_the_axis_with_the_largest_error_is_shown_in_time_and_what_is_left_is_the_difference(turned: Following) -> None:
+def test_the_axis_with_the_largest_error_is_shown_in_time_and_what_is_left_is_the_difference(
+    turned: TrackedMotion,
+) -> None:
     fit = evidence(turned).fitted()
     gyro, acc, rest, _, _, _ = following(fit, 0, turned, []).axes
     assert gyro.get_ylabel() == "gyro_z_dps / (°/s)"
@@ -186,14 +188,14 @@ def test_the_axis_with_the_largest_error_is_shown_in_time_and_what_is_left_is_th
     assert np.polyfit(-rise, left, 1)[0] == pytest.approx(LATE, rel=0.15)
 
 
-def test_the_stretch_shown_is_one_without_a_gap_and_of_some_seconds(turned: Following) -> None:
+def test_the_stretch_shown_is_one_without_a_gap_and_of_some_seconds(turned: TrackedMotion) -> None:
     gyro = following(evidence(turned).fitted(), 0, turned, []).axes[0]
     t, _ = line(gyro, "gyro_z_dps: measured")
     assert np.diff(t) == pytest.approx(turned.data.interval, rel=1e-6)
     assert 2.0 <= t[-1] - t[0] <= 10.0
 
 
-def test_the_spectrum_of_the_error_adds_up_to_the_error_that_is_compared(turned: Following) -> None:
+def test_the_spectrum_of_the_error_adds_up_to_the_error_that_is_compared(turned: TrackedMotion) -> None:
     found = compare(evidence(turned))
     spectrum = following(found.fit, 0, turned, []).axes[4]
     (group,) = [one for one in found.groups if one.name.endswith("gyros")]
@@ -204,7 +206,7 @@ def test_the_spectrum_of_the_error_adds_up_to_the_error_that_is_compared(turned:
     assert math.sqrt(total) == pytest.approx(math.degrees(group.error), rel=0.2)
 
 
-def test_every_axis_has_its_spectrum_and_its_noise_and_only_what_moves_has_a_motion(turned: Following) -> None:
+def test_every_axis_has_its_spectrum_and_its_noise_and_only_what_moves_has_a_motion(turned: TrackedMotion) -> None:
     *_, gyros, accelerometers = following(evidence(turned).fitted(), 0, turned, []).axes
     bands = [one for one in gyros.collections if isinstance(one, PolyCollection) and one.get_paths()]
     assert len(bands) == 2
@@ -215,7 +217,7 @@ def test_every_axis_has_its_spectrum_and_its_noise_and_only_what_moves_has_a_mot
     assert (gyros.get_xscale(), gyros.get_yscale()) == ("log", "log")
 
 
-def test_a_repaired_model_brings_the_spectrum_down_to_the_noise(turned: Following) -> None:
+def test_a_repaired_model_brings_the_spectrum_down_to_the_noise(turned: TrackedMotion) -> None:
     def worst(fit: Fit) -> float:
         ax = following(fit, 0, turned, []).axes[4]
         f, density = line(ax, "gyro_z_dps")
@@ -267,7 +269,7 @@ def test_a_record_of_gyros_alone_has_no_panel_of_gravity() -> None:
 # all together
 
 
-def test_every_kind_of_part_has_its_figure_and_tables_share_one(turned: Following, tmp_path: Path) -> None:
+def test_every_kind_of_part_has_its_figure_and_tables_share_one(turned: TrackedMotion, tmp_path: Path) -> None:
     made = evidence(table(tmp_path, run="a"), turned, table(tmp_path, run="b"), turns_and_poses())
     paths = draw(made, made.fitted(), tmp_path / "figures")
     stems = ["misfit_rotation", "misfit_poses", "misfit_response"]

@@ -11,15 +11,15 @@ from imported_sweeps import DRIVE, MAINS, made
 from rig.diagnose.instruments import findings
 from rig.fit.evidence import Evidence
 from rig.parts.reading.imported_sweep import sweeps
-from rig.parts.sine_lines import mains_seen
-from rig.parts.sine_records import SineRecords
-from rig.parts.sine_signs import drive_off
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_lines import mains_seen
+from rig.parts.sweep_records import SweepRecords
+from rig.parts.sweep_signs import drive_off
 from rig.shelf import shelf
 
 
-def _names(data: SineRecords) -> list[str]:
-    evidence = Evidence((Sines(data),), (), (data.run,), "board", False, ())
+def _names(data: SweepRecords) -> list[str]:
+    evidence = Evidence((Sweep(data),), (), (data.run,), "board", False, ())
     return [one.term.effect.name for one in findings(evidence, shelf(), set())]
 
 

@@ -15,7 +15,7 @@ from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
 from rig.foreign.tables import Foreign, Table
-from rig.parts.following import Following
+from rig.parts.track import TrackedMotion
 from rig.shelf import effect_of, nothing_of
 
 RADIUS, GAIN = 0.3, 1.02
@@ -58,9 +58,9 @@ def swung(
     return Foreign("made", made, (Table("log", (*NAMES[:2], f"gyro_{axis}", *NAMES[3:]), values, {}, False),), ())
 
 
-def part_of(made: Evidence) -> Following:
+def part_of(made: Evidence) -> TrackedMotion:
     (part,) = made.parts
-    assert isinstance(part, Following)
+    assert isinstance(part, TrackedMotion)
     return part
 
 

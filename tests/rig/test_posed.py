@@ -18,7 +18,7 @@ from rig.fit.fit import Fit, begin, fit, linearised, residual, stepped
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term
-from rig.parts.poses import GRAVITY, Posed, PosedRecords
+from rig.parts.poses import GRAVITY, PoseRecords, Poses
 from rig.parts.reading.poses import noises_at_rest, posed
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def channels() -> Channels:
     )  # fmt: skip
 
 
-def records(seed: int, poses: int = 30, u_gravity: float = 1e-6) -> PosedRecords:
+def records(seed: int, poses: int = 30, u_gravity: float = 1e-6) -> PoseRecords:
     """Random attitudes, then one turn of 360° about each axis; noise of 0.1 count."""
     draw = np.random.default_rng(seed)
     n = poses + 3
@@ -69,7 +69,7 @@ def records(seed: int, poses: int = 30, u_gravity: float = 1e-6) -> PosedRecords
     true = turn * (1.0 + np.where(turn.any(axis=0), u_turn * draw.normal(size=n) / (2.0 * math.pi), 0.0))
     whole = np.concatenate([felt(gravity * directions(n, draw)), true / seconds])
     clean = (NOMINAL * (1.0 + GAINS))[:, None] * whole + ZEROS[:, None]
-    return PosedRecords(
+    return PoseRecords(
         name="r#0", run="r", channels=channels(), observed=clean + 0.1 * draw.normal(size=clean.shape),
         variance=np.full(clean.shape, 0.01), turn=turn, u_turn=u_turn, seconds=seconds,
         time=np.linspace(0.0, 5.0 * n, n),
@@ -77,7 +77,7 @@ def records(seed: int, poses: int = 30, u_gravity: float = 1e-6) -> PosedRecords
     )  # fmt: skip
 
 
-def fitted(part: Posed, *terms: Term, shared: bool = False) -> Fit:
+def fitted(part: Poses, *terms: Term, shared: bool = False) -> Fit:
     return fit([part], begin([part], list(terms), shared=shared))
 
 
@@ -92,13 +92,13 @@ def errors(found: Fit) -> dict[str, float]:
 
 
 def test_known_scales_zeros_and_angles_come_back_within_their_uncertainties() -> None:
-    found = fitted(Posed(records(1)), square())
+    found = fitted(Poses(records(1)), square())
     assert {name: one for name, one in errors(found).items() if abs(one) > 3.5} == {}
     assert found.u(0)["zx"] < 5e-4
 
 
 def test_error_over_stated_uncertainty_is_near_one_over_seeds() -> None:
-    whole = [errors(fitted(Posed(records(seed, u_gravity=0.02)), square())) for seed in range(40)]
+    whole = [errors(fitted(Poses(records(seed, u_gravity=0.02)), square())) for seed in range(40)]
     for name in whole[0]:
         rms = math.sqrt(float(np.mean([one[name] ** 2 for one in whole])))
         assert rms < 1.4, name
@@ -108,12 +108,12 @@ def test_error_over_stated_uncertainty_is_near_one_over_seeds() -> None:
 def test_squares_of_what_is_left_are_as_many_as_the_poses_less_the_parameters() -> None:
     left = []
     for seed in range(20):
-        part = Posed(records(seed))
+        part = Poses(records(seed))
         left.append(fitted(part, square()).left[: part.width])
     assert np.mean([float(one @ one) for one in left]) == pytest.approx(30 - 9, rel=0.2)
 
 
-def oracle(data: PosedRecords, sigma: Array) -> Array:
+def oracle(data: PoseRecords, sigma: Array) -> Array:
     """Three gains, three zeros, three angles and every direction by an independent least squares."""
     count = int(np.count_nonzero(~data.turn.any(axis=0)))
     y = data.observed[:3, :count]
@@ -136,7 +136,7 @@ def oracle(data: PosedRecords, sigma: Array) -> Array:
 def test_parameters_and_chi_squared_agree_with_a_fit_of_all_directions(sigma: tuple[float, ...]) -> None:
     data = replace(records(3), u_gravity=1e-9)
     data.variance[:3] = np.array(sigma)[:, None] ** 2
-    part = Posed(data)
+    part = Poses(data)
     found, truth = fitted(part, square()), oracle(data, np.array(sigma))
     x = [*(found.state.gain[n] for n in NAMES[:3]), *found.state.zero[0][:3], *found.state.terms[0].at.values()]
     u = np.sqrt(np.diag(found.covariance))
@@ -150,7 +150,7 @@ def test_parameters_and_chi_squared_agree_with_a_fit_of_all_directions(sigma: tu
 
 
 def test_columns_are_the_derivatives_of_the_rows() -> None:
-    part = Posed(records(4))
+    part = Poses(records(4))
     state = begin([part], [square(angles=ANGLES)])
     found = linearised([part], state)
     whole = np.zeros((part.rows, found.layout.size))
@@ -166,7 +166,7 @@ def test_columns_are_the_derivatives_of_the_rows() -> None:
 
 
 def test_a_magnitude_counts_in_poses_and_gyros_count_in_turns_too() -> None:
-    part = Posed(records(5))
+    part = Poses(records(5))
     counted = part.counted.reshape(4, -1)
     assert part.row_names == (GRAVITY, "gyro_x", "gyro_y", "gyro_z")
     assert counted.sum(axis=1).tolist() == [30, 33, 33, 33]
@@ -177,7 +177,7 @@ def test_a_magnitude_counts_in_poses_and_gyros_count_in_turns_too() -> None:
 def test_a_pose_without_an_observation_is_left_out() -> None:
     data = records(5)
     data.observed[1, 7] = math.nan
-    part = Posed(data)
+    part = Poses(data)
     found = fitted(part, square())
     assert not part.counted[7]
     assert found.left[7] == 0.0
@@ -186,7 +186,7 @@ def test_a_pose_without_an_observation_is_left_out() -> None:
 
 def test_rows_are_metres_per_second_squared_above_gravity_once_the_noise_is_taken_off() -> None:
     data = records(6)
-    part = Posed(data)
+    part = Poses(data)
     local = Local(NOMINAL, channels().pole, np.zeros(6))
     left = part.target - part.whitened(part.raw(local, []))
     size = np.linalg.norm(data.observed[:3] / NOMINAL[:3, None], axis=0) - G
@@ -196,7 +196,7 @@ def test_rows_are_metres_per_second_squared_above_gravity_once_the_noise_is_take
 
 
 def test_turns_are_told_as_the_angles_that_they_integrate_to() -> None:
-    part = Posed(records(7))
+    part = Poses(records(7))
     start = begin([part], [])
     zeros = Local(NOMINAL, channels().pole, ZEROS)
     said = part.remarks(part.target - part.whitened(part.raw(zeros, [])), zeros, [])
@@ -211,7 +211,7 @@ def test_turns_are_told_as_the_angles_that_they_integrate_to() -> None:
 
 def test_a_turn_is_known_as_well_as_its_angle_and_its_axis() -> None:
     data = records(7)
-    part = Posed(replace(data, u_turn=10.0 * data.u_turn))
+    part = Poses(replace(data, u_turn=10.0 * data.u_turn))
     sigma = np.sqrt(part.noise())[1:, 30]  # of a turn about x in 4 s, rad/s
     tilt = math.radians(2.0)
     own = math.hypot(0.02, 0.5 * tilt**2 * 2.0 * math.pi) / 4.0
@@ -224,12 +224,12 @@ def test_one_accelerometer_short_of_a_triad_is_refused() -> None:
         data, channels=data.channels.only(np.arange(1, 6)), observed=data.observed[1:], variance=data.variance[1:]
     )
     with pytest.raises(BadInput, match="found accelerometers along y, z, wanted one along each of x, y and z"):
-        Posed(short)
+        Poses(short)
 
 
 def test_gyros_alone_need_no_accelerometer() -> None:
     data = records(9)
-    part = Posed(
+    part = Poses(
         replace(
             data, channels=data.channels.only(np.arange(3, 6)), observed=data.observed[3:], variance=data.variance[3:]
         )
@@ -240,12 +240,12 @@ def test_gyros_alone_need_no_accelerometer() -> None:
 
 
 def test_few_attitudes_and_missing_turns_are_said_to_be_blind() -> None:
-    said = " ".join(Posed(records(9, poses=6)).blind)
+    said = " ".join(Poses(records(9, poses=6)).blind)
     assert "6 attitudes are fewer than the 9 parameters" in said
     assert "the whole triad is turned in its case" in said
     data = records(9)
     data.turn[:, -1] = 0.0
-    assert any("no turn by a known angle about z" in one for one in Posed(data).blind)
+    assert any("no turn by a known angle about z" in one for one in Poses(data).blind)
 
 
 def test_the_noise_of_a_mean_is_that_of_its_flicker_not_of_its_samples() -> None:
@@ -318,7 +318,7 @@ def test_a_named_pose_is_the_mean_of_its_rows_less_what_stands_for_nothing() -> 
     np.testing.assert_allclose(data.channels.sensitivity, NOMINAL)
     assert data.turn[2, 24] == pytest.approx(2 * math.pi)
     np.testing.assert_allclose(data.variance[:, :24].mean(axis=1), 4.0 / 300.0, rtol=0.4)
-    found = fitted(Posed(data))
+    found = fitted(Poses(data))
     assert found.state.gain["gyro_z"] == pytest.approx(GAINS[5], abs=0.003)
 
 
@@ -358,7 +358,7 @@ def test_gyros_alone_feel_gravity_along_the_axis_that_is_stated_to_be_up() -> No
     values, _ = recorded(24)
     said = [{"first": 300 * k, "last": 300 * (k + 1), "up": up} for k, up in enumerate(("+x", "-y", None))]
     gyros = columns(PER, 1000.0)[3:]
-    part = Posed(posed(foreign({"columns": gyros, "segments": said}, values))[0])
+    part = Poses(posed(foreign({"columns": gyros, "segments": said}, values))[0])
     np.testing.assert_allclose(part.reference.up[:, ::2], np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1]]).T, atol=1e-12)
 
 
@@ -391,13 +391,13 @@ def real(name: str) -> Path:
 def rms(found: Fit) -> float:
     """Of the magnitude less gravity, m/s², over all poses."""
     part = found.parts[0]
-    assert isinstance(part, Posed)
+    assert isinstance(part, Poses)
     said = part.remarks(found.left, found.state.local(part, 0), found.state.terms)[0]
     return float(said.removeprefix("magnitude less g: ").split()[0])
 
 
 @pytest.fixture(scope="module")
-def xsens() -> Posed:
+def xsens() -> Poses:
     values = np.loadtxt(real("imu-tk-xsens-multiposition") / "xsens_acc_gyro_raw.csv", delimiter=",", skiprows=1)
     made = foreign(
         {
@@ -406,10 +406,10 @@ def xsens() -> Posed:
         },
         values[:, 1:],
     )  # fmt: skip
-    return Posed(posed(made)[0])
+    return Poses(posed(made)[0])
 
 
-def test_published_poses_come_down_step_by_step_to_a_millimetre_per_second_squared(xsens: Posed) -> None:
+def test_published_poses_come_down_step_by_step_to_a_millimetre_per_second_squared(xsens: Poses) -> None:
     ladder = [fitted(xsens, shared=True), fitted(xsens), fitted(xsens, square())]
     errors_ = [rms(found) for found in ladder]
     assert xsens.width in (37, 38, 39)
@@ -418,21 +418,21 @@ def test_published_poses_come_down_step_by_step_to_a_millimetre_per_second_squar
     assert errors_[2] <= 0.0012
 
 
-def test_published_poses_that_no_fit_has_seen_are_predicted_to_a_millimetre_per_second_squared(xsens: Posed) -> None:
+def test_published_poses_that_no_fit_has_seen_are_predicted_to_a_millimetre_per_second_squared(xsens: Poses) -> None:
     found = fit([xsens], begin([xsens], [square()]), use=~xsens.held_out)
     left = residual([xsens], found.state).reshape(len(xsens.row_names), -1) * np.sqrt(xsens.noise())
     assert xsens.data.held.sum() == 15
     assert math.sqrt(float(np.mean(left[0, xsens.data.held] ** 2))) <= 0.0012
 
 
-def test_published_angles_between_the_axes_come_out(xsens: Posed) -> None:
+def test_published_angles_between_the_axes_come_out(xsens: Poses) -> None:
     found = fitted(xsens, square())
     degrees = sorted(abs(math.degrees(one)) for one in found.state.terms[0].at.values())
     assert degrees == pytest.approx([0.2, 0.5, 1.2], abs=0.06)  # of the published figures
 
 
 @pytest.fixture(scope="module")
-def ferraris() -> Posed:
+def ferraris() -> Poses:
     values = np.loadtxt(real("imucal-ferraris") / "example_ferraris_session.csv", delimiter=",", skiprows=1)
     rest = {"+x": (540, 1271), "-x": (1620, 2361), "+y": (2814, 3298), "-y": (3740, 4152), "+z": (4522, 4975),
             "-z": (5376, 5983)}  # fmt: skip
@@ -443,10 +443,10 @@ def ferraris() -> Posed:
         {"columns": columns(("", ""), unit=("m/s²", "°/s")), "time": {"rate": "102.4 Hz"}, "segments": segments},
         values[:, [4, 5, 6, 1, 2, 3]],
     )
-    return Posed(posed(made)[0])
+    return Poses(posed(made)[0])
 
 
-def test_a_published_session_of_six_faces_comes_down_to_millimetres_per_second_squared(ferraris: Posed) -> None:
+def test_a_published_session_of_six_faces_comes_down_to_millimetres_per_second_squared(ferraris: Poses) -> None:
     def left(x: Array) -> Array:
         """Weighed as the poses are, without logarithms."""
         shown = np.linalg.norm(ferraris.data.observed[:3, :12] - x[:3, None], axis=0) / (1.0 + x[3])
@@ -460,7 +460,7 @@ def test_a_published_session_of_six_faces_comes_down_to_millimetres_per_second_s
     assert rms(fitted(ferraris)) <= 0.0024
 
 
-def test_published_turns_integrate_to_a_whole_turn_after_calibration(ferraris: Posed) -> None:
+def test_published_turns_integrate_to_a_whole_turn_after_calibration(ferraris: Poses) -> None:
     found = fitted(ferraris)
     said = ferraris.remarks(found.left, found.state.local(ferraris, 0), found.state.terms)
     shown = [float(one.split("to ")[1].split("°")[0]) for one in said[1:]]

@@ -16,7 +16,7 @@ from rig.errors import BadInput
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
-from rig.parts.response import Responding
+from rig.parts.response import ResponseTable
 from rig.shelf import effect_of, nothing_of, shelf
 
 TRUE = Sensor(gain=1.02, delay=2e-3, window=3e-3)
@@ -131,7 +131,7 @@ def test_a_file_that_is_marked_is_held_out_whole_and_else_every_third_frequency(
     assert [part.held_out.all() or not part.held_out.any() for part in marked.parts] == [True, True]
     assert [bool(part.held_out.any()) for part in marked.parts] == [False, True]
     part = worlds.evidence(response(tables[:1])).parts[0]
-    assert isinstance(part, Responding)
+    assert isinstance(part, ResponseTable)
     held = np.unique(part.data.frequency[part.data.held])
     np.testing.assert_allclose(held, FREQUENCIES[2::3])
 

@@ -15,7 +15,7 @@ from rig.fit.evidence import evidence_of
 from rig.fit.fit import Fit
 from rig.model import Channels, Coordinate, Effect, Motion, Parameter, Term, Values
 from rig.motion import Array
-from rig.parts.turning import Turning
+from rig.parts.platter import Platter
 from rig.shelf import shelf
 
 TURNS = {"procedure": "turntable", "all": True}
@@ -31,7 +31,7 @@ def found() -> Fit:
     return evidence_of([fast_bench.measure(TURNS, fast_bench.world(11, []))]).fitted()
 
 
-def plain(part: Turning, raw: Array) -> Array:
+def plain(part: Platter, raw: Array) -> Array:
     """Whitened rows, (c, width): one channel and one stretch at a time."""
     data, rows = part.data, []
     for channel, one in enumerate(raw):
@@ -46,7 +46,7 @@ def plain(part: Turning, raw: Array) -> Array:
 @given(moved=st.lists(st.booleans(), min_size=9, max_size=9), seed=st.integers(0, 2**16))
 def test_channels_whitened_together_come_out_as_each_stretch_alone(found: Fit, moved: list[bool], seed: int) -> None:
     (part,) = found.parts
-    assert isinstance(part, Turning)
+    assert isinstance(part, Platter)
     raw = np.random.default_rng(seed).normal(size=part.data.observed.shape) * np.array(moved)[:, None]
     expected = plain(part, raw)
     got = part.whitened(raw).reshape(expected.shape)

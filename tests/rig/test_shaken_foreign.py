@@ -18,21 +18,21 @@ from rig.fit.evidence import Evidence
 from rig.foreign.tables import Foreign
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.shaker_distortion import distortions, gains
-from rig.parts.sine_lines import separated
-from rig.parts.sine_records import SineRecords
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_lines import separated
+from rig.parts.sweep_records import SweepRecords
 
 
-def _evidence(data: SineRecords) -> Evidence:
-    return Evidence((Sines(data),), (), (data.run,), "board", False, data.notes)
+def _evidence(data: SweepRecords) -> Evidence:
+    return Evidence((Sweep(data),), (), (data.run,), "board", False, data.notes)
 
 
 @lru_cache(maxsize=4)
-def _real(unit: str = "") -> SineRecords:
+def _real(unit: str = "") -> SweepRecords:
     return sweeps(real(unit=unit))[0]
 
 
-def _said(data: SineRecords, word: str) -> str:
+def _said(data: SweepRecords, word: str) -> str:
     return " ".join(note for note in data.notes if word in note)
 
 

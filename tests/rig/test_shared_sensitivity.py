@@ -14,9 +14,9 @@ from rig.diagnose.conclusion import OWN_SENSITIVITY, conclude
 from rig.fit.evidence import Evidence
 from rig.fit.fit import begin, fit, linearised, residual, stepped
 from rig.model import Channels
-from rig.parts.poses import Posed, PosedRecords
+from rig.parts.poses import PoseRecords, Poses
 from rig.parts.reading.imported_sweep import sweeps
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
 from rig.shelf import shelf
 
 SAME = (1.012, 1.012, 1.012)
@@ -29,7 +29,7 @@ def turned(rate: tuple[float, float, float], force: tuple[float, float, float] =
     return evidence(rotation(Unit(rate_gain=rate, force_gain=force), axis="z", upright=False))
 
 
-def posed(gains: tuple[float, float, float], seed: int = 1, count: int = 40) -> Posed:
+def posed(gains: tuple[float, float, float], seed: int = 1, count: int = 40) -> Poses:
     """A triad at rest in attitudes all over the sphere; gains alone are wrong."""
     random = np.random.default_rng(seed)
     vectors = random.normal(size=(3, count))
@@ -41,8 +41,8 @@ def posed(gains: tuple[float, float, float], seed: int = 1, count: int = 40) -> 
         unit=("unit",) * 3,
     )  # fmt: skip
     still = np.zeros((3, count))
-    return Posed(
-        PosedRecords(
+    return Poses(
+        PoseRecords(
             name="r#0", run="r", channels=channels, observed=observed, variance=np.full(force.shape, 1e-6), turn=still,
             u_turn=np.zeros(count), seconds=np.full(count, 2.0), time=np.arange(count, dtype=np.float64) * 5.0,
             held=np.arange(count) % 3 == 2, temperature=np.full(count, 25.0), supply=np.full(count, 5.0), gravity=G,
@@ -51,11 +51,11 @@ def posed(gains: tuple[float, float, float], seed: int = 1, count: int = 40) -> 
     )  # fmt: skip
 
 
-def seeded(seed: int) -> Posed:
+def seeded(seed: int) -> Poses:
     return posed(SAME, seed)
 
 
-def sines() -> Sines:
+def sines() -> Sweep:
     """Two accelerometers along the drive at several levels."""
     columns = [
         {"column": "base", "quantity": "unstated", "role": "reference"},
@@ -71,7 +71,7 @@ def sines() -> Sines:
         values = np.column_stack([table.of("drive"), base, *boards])
         tables.append(replace(table, names=("drive", "base", "board0", "board1"), values=values))
     both = made(columns_=columns).manifest
-    return Sines(sweeps(replace(foreign, manifest=both, tables=tuple(tables)))[0])
+    return Sweep(sweeps(replace(foreign, manifest=both, tables=tuple(tables)))[0])
 
 
 def test_a_shared_start_has_one_leader_for_each_quantity() -> None:
@@ -127,7 +127,7 @@ def test_rows_that_belong_to_three_channels_share_a_gain() -> None:
 
 
 @pytest.mark.parametrize("part", [posed(OWN), sines()], ids=["poses", "sines"])
-def test_the_shared_column_is_what_a_small_change_of_the_gain_moves(part: Posed | Sines) -> None:
+def test_the_shared_column_is_what_a_small_change_of_the_gain_moves(part: Poses | Sweep) -> None:
     state = begin([part], [], shared=True)
     found = linearised([part], state)
     leader = part.channels.names[0]

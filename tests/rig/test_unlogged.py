@@ -18,7 +18,7 @@ from rig.fit.evidence import Evidence, evidence_of
 from rig.foreign.manifest import Column
 from rig.foreign.tables import Foreign
 from rig.formula import formula_effect
-from rig.parts.turning import Turning
+from rig.parts.platter import Platter
 from rig.shelf import shelf
 
 COEFFICIENT = 2e-3  # 1/K
@@ -83,9 +83,9 @@ def test_an_own_turntable_run_without_a_thermometer_offers_nothing_of_temperatur
     run = fast_bench.measure({"procedure": "turntable", "all": True}, fast_bench.world(11, []))
     made = evidence_of([run])
     (part,) = made.parts
-    assert isinstance(part, Turning)
+    assert isinstance(part, Platter)
     assert {*OF_TEMPERATURE, "supply_ratio"} <= offered(made)
-    without = Turning(replace(part.data, temperature=np.full_like(part.data.temperature, np.nan)))
+    without = Platter(replace(part.data, temperature=np.full_like(part.data.temperature, np.nan)))
     less = replace(made, parts=(without,))
     assert offered(made) - offered(less) == OF_TEMPERATURE
     assert np.isfinite(less.fitted().left).all()

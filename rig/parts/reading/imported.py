@@ -13,20 +13,20 @@ from rig.errors import BadInput
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
 from rig.parts import nuisances
-from rig.parts.following import Following, FollowRecords
 from rig.parts.part import Part
-from rig.parts.poses import Posed
+from rig.parts.poses import Poses
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.motion import motions, rotations
 from rig.parts.reading.poses import posed
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.response import responses
 from rig.parts.reference_gain import channels_beside, gains_of, shared
-from rig.parts.response import Responding, ResponseTable
-from rig.parts.sine_records import SineRecords
-from rig.parts.sines import Sines
+from rig.parts.response import ResponseRecords, ResponseTable
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_records import SweepRecords
+from rig.parts.track import TrackedMotion, TrackRecords
 
-D = TypeVar("D", ResponseTable, FollowRecords, SineRecords)
+D = TypeVar("D", ResponseRecords, TrackRecords, SweepRecords)
 
 
 def read(runs: Sequence[Recorded]) -> Reading:
@@ -53,16 +53,16 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
 
 
 def _response(foreign: Foreign) -> Reading:
-    return Reading(tuple(Responding(_beside(foreign, data)) for data in responses(foreign)))
+    return Reading(tuple(ResponseTable(_beside(foreign, data)) for data in responses(foreign)))
 
 
 def _rotation(foreign: Foreign) -> Reading:
     turned = _beside(foreign, rotations(foreign))
     standing = [] if turned.channels.rates.all() else _standing(foreign, turned)
-    return Reading((Following(turned),), (*nuisances.of_track(max(turned.bands)), *standing))
+    return Reading((TrackedMotion(turned),), (*nuisances.of_track(max(turned.bands)), *standing))
 
 
-def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
+def _standing(foreign: Foreign, turned: TrackRecords) -> list[Term]:
     """What accelerometers on a rotation depend on and nobody states: where gravity lies, and where the case sits."""
     stated = foreign.manifest.rotation
     prior: dict[str, float] = {}
@@ -75,15 +75,15 @@ def _standing(foreign: Foreign, turned: FollowRecords) -> list[Term]:
 
 def _motion(foreign: Foreign) -> Reading:
     moved = _beside(foreign, motions(foreign))
-    return Reading((Following(moved),), tuple(nuisances.of_track(max(moved.bands))))
+    return Reading((TrackedMotion(moved),), tuple(nuisances.of_track(max(moved.bands))))
 
 
 def _sweep(foreign: Foreign) -> Reading:
-    return Reading(tuple(Sines(_beside(foreign, data)) for data in sweeps(foreign)))
+    return Reading(tuple(Sweep(_beside(foreign, data)) for data in sweeps(foreign)))
 
 
 def _poses(foreign: Foreign) -> Reading:
-    return Reading(tuple(Posed(data) for data in posed(foreign)))
+    return Reading(tuple(Poses(data) for data in posed(foreign)))
 
 
 def _refuse_standing_clocks(foreign: Foreign) -> None:

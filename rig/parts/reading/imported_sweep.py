@@ -1,4 +1,4 @@
-"""Imported sweeps: sines on a shaker that another accelerometer on the same recorder has seen, as `SineRecords`.
+"""Imported sweeps: sines on a shaker that another accelerometer on the same recorder has seen, as `SweepRecords`.
 
 What both accelerometers show between the lines is mostly real: a shaker rattles. Noise is therefore only what the
 device shows and the reference does not,  ε = device − H·reference  with H where it is known best: from the lines
@@ -25,8 +25,8 @@ from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.reading.shaker_distortion import shaker_remarks
-from rig.parts.sine_lines import Separated, density, drive_clock, mains_seen, separated, slow_noise, taken
-from rig.parts.sine_records import LINES, Leftover, SineRecords, directions
+from rig.parts.sweep_lines import Separated, density, drive_clock, mains_seen, separated, slow_noise, taken
+from rig.parts.sweep_records import LINES, Leftover, SweepRecords, directions
 from rig.signals import tone
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class _Record:
         return len(self.t) / self.rate
 
 
-def sweeps(foreign: Foreign) -> list[SineRecords]:
+def sweeps(foreign: Foreign) -> list[SweepRecords]:
     """The files of a run of kind "sweep", as one mounting; [] for another kind.
 
     Raises BadInput for files without even time stamps, with gaps, or without a line near the commanded frequency.
@@ -201,7 +201,7 @@ def _turned(spectrum: Complexes, f: Array, delay: Array) -> Complexes:
     return np.asarray(spectrum * np.exp(-2j * math.pi * f[:, None] * delay))
 
 
-def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Record]) -> SineRecords:
+def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Record]) -> SweepRecords:
     made, device = foreign.manifest, columns[1:]
     count = len(records)
     own, shared = _noise(records)
@@ -210,7 +210,7 @@ def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Reco
     observed = np.stack([_observed(one) for one in records], axis=1)
     shown = np.stack([_harmonics(one)[0] for one in records])
     conditions = {name: np.array([_mean(foreign.condition(one.table, name)) for one in records]) for name in CONDITIONS}
-    return SineRecords(
+    return SweepRecords(
         name=f"{foreign.run}#0",
         run=foreign.run,
         axis=axis,
@@ -387,12 +387,12 @@ def _unit_notes(columns: Sequence[Column]) -> list[str]:
     ]
 
 
-def _clock_notes(data: SineRecords) -> list[str]:
+def _clock_notes(data: SweepRecords) -> list[str]:
     found = drive_clock(data.frequency, data.nominal, data.leftovers, data.mains)
     return [] if found is None else [found.said]
 
 
-def _hum_notes(data: SineRecords) -> list[str]:
+def _hum_notes(data: SweepRecords) -> list[str]:
     """Mains lines of each channel at their largest, from records at rest if there are any."""
     if not math.isfinite(data.mains):
         return []

@@ -14,11 +14,11 @@ from rig.errors import BadInput
 from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
-from rig.parts.following import FollowRecords, spun_force, spun_up
 from rig.parts.reading.conditions import smoothed
 from rig.parts.reading.poses import signed
 from rig.parts.reading.shared_lines import shared_lines
 from rig.parts.reference_motion import Shown
+from rig.parts.track import TrackRecords, spun_force, spun_up
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.signals.pose_track import PoseTrack, pose_track
 
@@ -56,7 +56,7 @@ class _Piece:
         return values[..., :: self.step][..., begin:end]
 
 
-def rotations(foreign: Foreign) -> FollowRecords:
+def rotations(foreign: Foreign) -> TrackRecords:
     """Every file of a run of kind "rotation" together. Raises BadInput where nothing can be compared."""
     made = foreign.manifest.rotation
     if made is None:
@@ -66,7 +66,7 @@ def rotations(foreign: Foreign) -> FollowRecords:
     return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
 
 
-def motions(foreign: Foreign) -> FollowRecords:
+def motions(foreign: Foreign) -> TrackRecords:
     """Every file of a run of kind "motion" together. Raises BadInput where nothing can be compared."""
     return _joined(foreign, [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables], None)
 
@@ -211,7 +211,7 @@ def channels_of(columns: Sequence[Column]) -> Channels:
     )
 
 
-def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | None) -> FollowRecords:
+def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | None) -> TrackRecords:
     """Pieces one after the other, cut where nothing counts."""
     made = foreign.manifest
     interval = float(np.median([piece.interval for piece in pieces]))
@@ -230,7 +230,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
         for name in CONDITIONS
     }
     notes = [note for piece in pieces for note in piece.track.notes]
-    data = FollowRecords(
+    data = TrackRecords(
         name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
         channels=channels_of(_device(foreign)), observed=observed, interval=interval, time=time, shown=None, axis=0,
         upright=np.zeros(len(time)), phase=0.0, radius=0.0, outward=np.zeros(3), rate=np.zeros((3, len(time))),
@@ -243,7 +243,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
             name: np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs], axis=1)
             for name in ("rate", "turning", "force", "up")
         }
-        return FollowRecords(**{**vars(data), **vectors})
+        return TrackRecords(**{**vars(data), **vectors})
     return _with_encoder(data, runs, rotation, _stated_up(foreign, runs))
 
 
@@ -270,8 +270,8 @@ def _stated_up(foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]]) -> lis
 
 
 def _with_encoder(
-    data: FollowRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation, stated: Sequence[Stated]
-) -> FollowRecords:
+    data: TrackRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation, stated: Sequence[Stated]
+) -> TrackRecords:
     """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
     arrays = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
               for name in ("angle", "rate", "acceleration")]  # fmt: skip
@@ -295,7 +295,7 @@ def _with_encoder(
     return replace(made, up=up, force=spun_force(made, up, shown))
 
 
-def _across(data: FollowRecords, axis: int, shown: Shown, rotation: Rotation) -> dict[str, complex]:
+def _across(data: TrackRecords, axis: int, shown: Shown, rotation: Rotation) -> dict[str, complex]:
     """What the accelerometers across the axis feel in proportion to gravity that goes round and to the motion of a case
     beside the axis, each as a complex number: along the first axis across it, and the second. {} if they tell nothing.
     """
@@ -353,7 +353,7 @@ def _shaken(foreign: Foreign, axis: str, band: float) -> list[str]:
     return said
 
 
-def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
+def _sense(data: TrackRecords, axis: int, rate: Array) -> tuple[int, str]:
     """Sign of the gyro along the axis against the reference, and a sentence if they are against each other."""
     for row, name in enumerate(data.channels.names):
         if data.channels.rates[row] and data.channels.axis[row] == axis:
@@ -370,7 +370,7 @@ def _sense(data: FollowRecords, axis: int, rate: Array) -> tuple[int, str]:
     return 0, ""
 
 
-def _upright(data: FollowRecords, axis: int, stated: Sequence[Stated]) -> Array:
+def _upright(data: TrackRecords, axis: int, stated: Sequence[Stated]) -> Array:
     """Which way up an upright axis stands, (n,): as stated, elsewhere by the accelerometer along it, else up."""
     found = np.zeros(len(data.time))
     for mask, up in stated:
@@ -392,7 +392,7 @@ def _phase(felt: Mapping[str, complex], axis: int, angle: Array, stated: Sequenc
     return float(np.angle(felt.get("gravity", 0.0)))
 
 
-def _against(data: FollowRecords, stated: Sequence[Stated]) -> list[str]:
+def _against(data: TrackRecords, stated: Sequence[Stated]) -> list[str]:
     """Statements of what is up that the accelerometers contradict."""
     said = []
     for mask, up in stated:

@@ -20,7 +20,7 @@ from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import Array
-from rig.parts.poses import PARAMETERS, PosedRecords
+from rig.parts.poses import PARAMETERS, PoseRecords
 from rig.signals.noise import NoiseModel, fit_density
 from rig.signals.spectrum import Density
 from rig.units import STANDARD_GRAVITY
@@ -62,7 +62,7 @@ class Interval:
         return any(self.angle)
 
 
-def posed(foreign: Foreign, find: Finder | None = None) -> list[PosedRecords]:
+def posed(foreign: Foreign, find: Finder | None = None) -> list[PoseRecords]:
     """Every file of a run of kind "poses"; `find` finds the intervals at rest where the manifest names none.
 
     Raises BadInput for a file without poses, or for segments of several files.
@@ -73,7 +73,7 @@ def posed(foreign: Foreign, find: Finder | None = None) -> list[PosedRecords]:
     return [_record(foreign, number, table, find or _at_rest, by_file) for number, table in enumerate(foreign.tables)]
 
 
-def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: bool) -> PosedRecords:
+def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: bool) -> PoseRecords:
     columns = [one for one in foreign.manifest.of("device") if one.quantity in ("acceleration", "rate")]
     where = f"{foreign.run} {table.label}".strip()
     if not columns:
@@ -207,7 +207,7 @@ def _cut(one: Interval, share: float) -> list[Interval]:
 def _means(
     foreign: Foreign, table: Table, number: int, channels: Channels, numbers: Array, time: Array, rate: float,
     intervals: Sequence[Interval], notes: Sequence[str],
-) -> PosedRecords:  # fmt: skip
+) -> PoseRecords:  # fmt: skip
     """Means over the intervals and how noisy they are."""
     conditions = {name: foreign.condition(table, name) for name in CONDITIONS}
     whole = Whole(f"{foreign.run} {table.label}", foreign.run, channels, numbers, time, rate, conditions)
@@ -232,7 +232,7 @@ class Whole:
 
     def posed(
         self, name: str, intervals: Sequence[Interval], gravity: tuple[float, float], notes: Sequence[str]
-    ) -> PosedRecords:
+    ) -> PoseRecords:
         """Means over the intervals and how noisy they are; local gravity with its uncertainty, m/s².
 
         Raises BadInput for a channel that shows one number throughout.
@@ -250,7 +250,7 @@ class Whole:
         )
         conditions = {k: np.array([_mean(v[here]) for here in rows]) for k, v in self.conditions.items()}
         gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
-        return PosedRecords(
+        return PoseRecords(
             name=name, run=self.run, channels=channels, observed=observed,
             variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
             u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,

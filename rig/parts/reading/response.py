@@ -12,18 +12,18 @@ from rig.foreign.manifest import Column
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels
 from rig.motion import Array, Complexes
-from rig.parts.response import ResponseTable, places_of
+from rig.parts.response import ResponseRecords, places_of
 
 HELD_OUT = 3  # every third frequency is held out where no file is
 
 
-def responses(foreign: Foreign) -> list[ResponseTable]:
+def responses(foreign: Foreign) -> list[ResponseRecords]:
     """Every file of a run of kind "response". Raises BadInput for rows that are no numbers."""
     held = any(table.held_out for table in foreign.tables)
     return [_table(foreign, number, table, held) for number, table in enumerate(foreign.tables)]
 
 
-def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> ResponseTable:
+def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> ResponseRecords:
     made = foreign.manifest
     frequency = foreign.si(table, made.of("reference", "frequency")[0])
     device: dict[str, Column] = {one.quantity: one for one in made.of("device")}
@@ -53,7 +53,7 @@ def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> Respon
             f"{table.label}: the response counts against the reference (phase near π at the lowest "
             f"frequency): a matter of sign or mounting, taken as a sensitivity of −1 and not as dynamics",
         )
-    return ResponseTable(
+    return ResponseRecords(
         name=f"{foreign.run}#{number}", run=foreign.run, channels=_channels(first, sign), frequency=frequency[order],
         excitation=along[order], ratio=ratio[order], u_magnitude=u_magnitude[order], u_phase=u_phase[order],
         repeat=repeat, held=held, gravity=made.gravity.value, notes=notes,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.foreign.tables import Foreign
 from rig.motion import ORDERS
-from rig.parts.sine_records import SineRecords
+from rig.parts.sweep_records import SweepRecords
 from rig.signals import tone
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Distortion:
     reference: float
 
 
-def gains(data: SineRecords) -> list[Gain]:
+def gains(data: SweepRecords) -> list[Gain]:
     """Gain of every accelerometer at every driven record."""
     found = []
     for c, name in enumerate(data.channels.names):
@@ -68,12 +68,12 @@ def gains(data: SineRecords) -> list[Gain]:
     return found
 
 
-def distortions(data: SineRecords) -> list[Distortion]:
+def distortions(data: SweepRecords) -> list[Distortion]:
     """Whose the harmonics are, for every channel."""
     return [_distortion(data, c) for c in range(len(data.channels.names))]
 
 
-def _distortion(data: SineRecords, c: int) -> Distortion:
+def _distortion(data: SweepRecords, c: int) -> Distortion:
     driven = np.flatnonzero(data.index >= 0)
     device, shown = data.observed[c, driven][:, 1:ORDERS], data.shown[driven][:, 1:ORDERS]
     gain = device[:, :1] / shown[:, :1]
@@ -96,7 +96,7 @@ def _whose(share: float, chi2: float, largest: float) -> Whose:
     return "device" if share > LARGE else "both"
 
 
-def shaker_remarks(foreign: Foreign, data: SineRecords) -> tuple[str, ...]:
+def shaker_remarks(foreign: Foreign, data: SweepRecords) -> tuple[str, ...]:
     """What is to be said of distortion, of compression and of the gain at every level, with the figures."""
     return (
         *(_verdict(one) for one in distortions(data)),
@@ -121,12 +121,12 @@ def _verdict(one: Distortion) -> str:
     return f"the distortion is partly the shaker's and partly the sensor's own: {seen}; {own}"
 
 
-def _driven(data: SineRecords) -> list[int]:
+def _driven(data: SweepRecords) -> list[int]:
     """Driven records, from the smallest motion to the largest."""
     return sorted(np.flatnonzero(data.index >= 0).tolist(), key=lambda p: abs(complex(data.shown[p, 1])))
 
 
-def _compression(foreign: Foreign, data: SineRecords) -> Iterator[str]:
+def _compression(foreign: Foreign, data: SweepRecords) -> Iterator[str]:
     """Gain from the drive signal to the reference by level, if the drive was recorded, one dial at a time."""
     if not foreign.manifest.of("drive"):
         return
@@ -141,7 +141,7 @@ def _compression(foreign: Foreign, data: SineRecords) -> Iterator[str]:
         yield f"the shaker does not follow its drive in proportion: reference over drive, by rising drive, is {listed}"
 
 
-def _drive(foreign: Foreign, data: SineRecords, p: int) -> float:
+def _drive(foreign: Foreign, data: SweepRecords, p: int) -> float:
     """Amplitude of the drive signal at the driven frequency, in its SI unit."""
     table = foreign.tables[p]
     stamps, signal = foreign.time(table), foreign.si(table, foreign.manifest.of("drive")[0])
@@ -164,7 +164,7 @@ def _one_dial(foreign: Foreign, drives: Mapping[int, float]) -> Iterator[list[in
                 yield sorted(group, key=lambda p: drives[p])
 
 
-def _harmonics(data: SineRecords) -> Iterator[str]:
+def _harmonics(data: SweepRecords) -> Iterator[str]:
     """Harmonics of the reference, in per cent of the fundamental, at the smallest, middle and largest motion."""
     order = _driven(data)
     if not order or not any(one.whose in ("shaker", "both") for one in distortions(data)):
@@ -176,7 +176,7 @@ def _harmonics(data: SineRecords) -> Iterator[str]:
         yield f"the shaker's own harmonics at {data.level[p]}: {listed}"
 
 
-def _gain_said(data: SineRecords) -> Iterator[str]:
+def _gain_said(data: SweepRecords) -> Iterator[str]:
     every = gains(data)
     for name in data.channels.names:
         yield _spread(name, [one for one in every if one.channel == name])

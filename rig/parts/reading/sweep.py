@@ -1,4 +1,4 @@
-"""From a run on the shaker to `SineRecords`, one for every mounting: lines, noise and conditions of each record."""
+"""From a run on the shaker to `SweepRecords`, one for every mounting: lines, noise and conditions of each record."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from rig.parts.ranges import beyond_range
 from rig.parts.reading.conditions import smoothed
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
-from rig.parts.sine_lines import LIMIT, density, slow_noise, taken
-from rig.parts.sine_records import LINES, MAINS_ORDERS, Leftover, SineRecords, directions
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
+from rig.parts.sweep_lines import LIMIT, density, slow_noise, taken
+from rig.parts.sweep_records import LINES, MAINS_ORDERS, Leftover, SweepRecords, directions
 from rig.record import Wires
 from rig.signals import tone
 from rig.signals.spectrum import Density
@@ -56,7 +56,7 @@ class _Record:
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every sweep of the rig's own runs."""
     own = [run for run in runs if not is_foreign(run)]
-    parts = [(run, Sines(data)) for run in own for data in shaken(run)]
+    parts = [(run, Sweep(data)) for run in own for data in shaken(run)]
     for run, part in parts:
         part.notes = (*part.notes, *beyond_range(run, part))
     swept = [one for run in own for one in _swept(run)]
@@ -67,12 +67,12 @@ def _swept(records: Recorded) -> list[Recorded]:
     return [one for one in experiments(records) if any("frequency" in body for body in one.points.values())]
 
 
-def shaken(records: Recorded) -> list[SineRecords]:
+def shaken(records: Recorded) -> list[SweepRecords]:
     """Every sweep of a run, each a mounting; [] for a run that has none. Raises BadInput as `sines` does."""
     return [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(_swept(records))]
 
 
-def _sweep(records: Recorded, name: str) -> SineRecords:
+def _sweep(records: Recorded, name: str) -> SweepRecords:
     """One sweep: its records at rest and its sines."""
     chain = chain_of(records)
     mains = units.parse(str(records.header["bench_file"]["mains"]), "frequency")
@@ -224,7 +224,7 @@ def _before(lines: Complexes, point: SinePoint | None, mains: float, step: float
     return np.asarray(np.roll(lines, 1, axis=0) * np.exp(-2j * math.pi * f * step))
 
 
-def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], mains: float) -> SineRecords:
+def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], mains: float) -> SweepRecords:
     """Records in the order of time, channels of sensors only."""
     whole = sorted(whole, key=lambda one: one.begin)
     cables = list(records.header["bench_file"]["cables"]["shaker"])
@@ -240,7 +240,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     begins = np.array([one.begin for one in whole])
     observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
     usable = np.array([one.usable[rows] & _trusted(one.point) for one in whole]).T
-    return SineRecords(
+    return SweepRecords(
         name=name,
         run=records.name,
         axis=axis,

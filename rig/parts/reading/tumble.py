@@ -17,7 +17,7 @@ from rig.model import Channels
 from rig.motion import Array
 from rig.parts.channels import channels_of
 from rig.parts.part import Part
-from rig.parts.poses import Posed, PosedRecords
+from rig.parts.poses import PoseRecords, Poses
 from rig.parts.reading.poses import Interval, Whole, held_out
 from rig.parts.reading.reading import Reading
 from rig.parts.remainder import Indices
@@ -33,11 +33,11 @@ def read(runs: Sequence[Recorded]) -> Reading:
     parts: list[Part] = []
     for run in (one for one in runs if not is_foreign(one)):
         for number, one in enumerate(one for one in experiments(run) if poses_of(one)):
-            parts += [Posed(data) for data in tumbled(one, number)]
+            parts += [Poses(data) for data in tumbled(one, number)]
     return Reading(tuple(parts))
 
 
-def tumbled(records: Recorded, number: int = 0) -> Iterator[PosedRecords]:
+def tumbled(records: Recorded, number: int = 0) -> Iterator[PoseRecords]:
     """Each unit of the sensor in all poses. Raises BadInput for a channel that shows one number throughout."""
     found = [_windows(signals(records.samples(str(b["samples"])))) for _, b in poses_of(records) if "samples" in b]
     if not found:

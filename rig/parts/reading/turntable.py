@@ -1,4 +1,4 @@
-"""From a turntable run to `TurnRecords`: window means, the encoder's motion over the same windows, noise at rest."""
+"""From a turntable run to `PlatterRecords`: window means, the encoder's motion over the same windows, noise at rest."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rig.foreign.tables import is_foreign
 from rig.model import Channels
 from rig.parts import nuisances
 from rig.parts.channels import channels_of
+from rig.parts.platter import HIGHEST_RATE, Platter
+from rig.parts.platter_records import PlatterRecords, stretches_of
 from rig.parts.ranges import beyond_range
 from rig.parts.reading.conditions import smoothed
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.revolutions import SLOWEST, mount_of
 from rig.parts.reference_motion import Shown
-from rig.parts.turn_records import TurnRecords, stretches_of
-from rig.parts.turning import HIGHEST_RATE, Turning
 from rig.sensor import Sensor
 from rig.signals import noise
 from rig.signals.encoder import LINES
@@ -65,7 +65,7 @@ class _Record:
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every turntable run of the rig's own."""
     own = [run for run in runs if not is_foreign(run)]
-    parts = [(run, Turning(data)) for run in own for data in spun(run)]
+    parts = [(run, Platter(data)) for run in own for data in spun(run)]
     for run, part in parts:
         part.notes = (*part.notes, *beyond_range(run, part))
     done = [one for run in own for one in experiments(run)]
@@ -73,13 +73,13 @@ def read(runs: Sequence[Recorded]) -> Reading:
     return Reading(tuple(part for _, part in parts), tuple(nuisances.of_turntable(turned)) if parts else ())
 
 
-def spun(records: Recorded) -> list[TurnRecords]:
+def spun(records: Recorded) -> list[PlatterRecords]:
     """Every turntable experiment of a run, its records together; [] for a run that has none.
 
     Raises BadInput if the encoder cannot be read.
     """
     cables = list(records.header["bench_file"]["cables"]["turntable"])
-    made: list[TurnRecords] = []
+    made: list[PlatterRecords] = []
     for one in experiments(records):
         found = list(_records(one))
         if any(record.kind != "rest" for record in found):
@@ -273,7 +273,7 @@ def _at_rest(found: Sequence[_Record]) -> list[_Record]:
     return result
 
 
-def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_Record]) -> TurnRecords:
+def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_Record]) -> PlatterRecords:
     interval = WINDOW * _scan_period(records)
     lengths = [one.means.shape[1] for one in found]
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
@@ -288,7 +288,7 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
     pairs = list(zip(found, lengths, strict=True))
     time = np.concatenate([one.start + (one.first + np.arange(n) + 0.5) * interval for one, n in pairs])
     clipped = {name for one in found for name in one.clipped}
-    return TurnRecords(
+    return PlatterRecords(
         name=name,
         run=records.name,
         channels=channels,

@@ -12,7 +12,7 @@ import pytest
 from rig import Model
 from rig.archive.records import Recorded
 from rig.motion import ORDERS, Array
-from rig.parts.sines import Sines
+from rig.parts.sweep import Sweep
 from rig.repair.correction import zero_of
 from rig.repair.model_file import ChannelEntry, Value
 
@@ -31,9 +31,9 @@ def model() -> Model:
     return Model(records()).add("cubic")
 
 
-def part() -> Sines:
+def part() -> Sweep:
     (one,) = model().fit.parts
-    assert isinstance(one, Sines)
+    assert isinstance(one, Sweep)
     return one
 
 

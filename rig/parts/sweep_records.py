@@ -31,7 +31,7 @@ class Leftover:
 
 
 @dataclass(frozen=True)
-class SineRecords:
+class SweepRecords:
     """What was recorded in one mounting, p records of c channels, records at rest among them (`index` −1).
 
     `observed` (c, p, LINES) V, complex; `variance` of each part, same shape, NaN where there is no line. `shown`

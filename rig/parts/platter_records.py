@@ -17,7 +17,7 @@ SETTLING = 14  # windows at either end of a record of a moving platter, where it
 
 
 @dataclass(frozen=True)
-class TurnRecords:
+class PlatterRecords:
     """One turntable run in one mounting after another: n windows of c channels.
 
     `observed` (c, n) V. `counted` is the encoder as its lines were counted, `closed` with the lines that index pulses
@@ -52,7 +52,7 @@ class TurnRecords:
     notes: tuple[str, ...] = ()
 
 
-def only_stretches(data: TurnRecords, seconds: float) -> TurnRecords:
+def only_stretches(data: PlatterRecords, seconds: float) -> PlatterRecords:
     """The same with stretches of about this length."""
     return replace(data, stretches=stretches_of(data.records, data.interval, seconds, data.counted.rate))
 

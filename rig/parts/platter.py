@@ -23,10 +23,10 @@ from rig.parts.formulas import OF_PLATTER
 from rig.parts.laws import scored
 from rig.parts.part import ALLOWANCE, Option, Part
 from rig.parts.platter_cuts import Rows
+from rig.parts.platter_records import PlatterRecords
 from rig.parts.reading.conditions import filled, logged
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
-from rig.parts.turn_records import TurnRecords
 
 # Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled
 # edges leave patterns that the encoder's second and first derivative cannot tell from motion
@@ -35,7 +35,7 @@ HELD_OUT = 3  # every third stretch is not fitted when a model is judged
 KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
-class Turning(Part):
+class Platter(Part):
     """A turntable run as a part of a fit."""
 
     experiment = "turntable"
@@ -43,7 +43,7 @@ class Turning(Part):
     instruments = frozenset({"encoder"})
     formulas = OF_PLATTER
 
-    def __init__(self, data: TurnRecords) -> None:
+    def __init__(self, data: PlatterRecords) -> None:
         width = sum(end - begin for begin, end in data.stretches)
         super().__init__(data.name, data.run, data.channels, width, notes=data.notes)
         self.data, self.of = data, Rows(data)
@@ -237,4 +237,4 @@ class Turning(Part):
         return platter_signs.unmeasured([part.data for part in parts])
 
     def options(self) -> Iterator[Option]:
-        return platter_options.options(self.data, Turning)
+        return platter_options.options(self.data, Platter)

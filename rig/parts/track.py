@@ -36,7 +36,7 @@ ALLOWANCE = 0.2
 
 
 @dataclass(frozen=True)
-class FollowRecords:
+class TrackRecords:
     """n even instants of c channels and the reference's motion at them; records one after the other.
 
     `observed` (c, n) V or SI as the manifest has it. `shown`: angle, rate and acceleration about `axis` (rotation), or
@@ -74,7 +74,7 @@ class FollowRecords:
     blind: tuple[str, ...] = ()
 
 
-def spun_up(data: FollowRecords, angle: Array) -> Array:
+def spun_up(data: TrackRecords, angle: Array) -> Array:
     """What is up, in the case at these angles, (3, n): u(θ) = R(axis, −θ)·u(0)."""
     found = np.zeros((3, len(angle)))
     found[data.axis] = data.upright
@@ -84,21 +84,21 @@ def spun_up(data: FollowRecords, angle: Array) -> Array:
     return found
 
 
-def spun_force(data: FollowRecords, up: Array, shown: Shown) -> Array:
+def spun_force(data: TrackRecords, up: Array, shown: Shown) -> Array:
     """Specific force of gravity and of going round beside the axis, g·up + r·(−ω²·outward + α·tangent), (3, n)."""
     beside = -np.outer(data.outward, shown.rate**2) + np.outer(tangent_of(data), shown.acceleration)
     return np.asarray(data.gravity * up + data.radius * beside)
 
 
-def tangent_of(data: FollowRecords) -> Array:
+def tangent_of(data: TrackRecords) -> Array:
     """Axis × outward, in the case, (3,)."""
     return np.cross(np.eye(3)[data.axis], data.outward)
 
 
-class Following(Part):
+class TrackedMotion(Part):
     """Such records as a part of a fit. Raises BadInput for too few instants, or a case that did not move."""
 
-    def __init__(self, data: FollowRecords) -> None:
+    def __init__(self, data: TrackRecords) -> None:
         self.data = data
         if not data.stretches or any(end <= begin for begin, end in data.stretches):
             seconds = data.interval * len(data.time)

@@ -13,8 +13,8 @@ from rig.motion import Array
 from rig.parts.laws import Shape, conditions, scored
 from rig.parts.part import Part
 from rig.parts.remainder import Growth, Mask, Prediction, Remainder, Score
-from rig.parts.sine_cuts import order_of
-from rig.parts.sine_records import LINES, SineRecords
+from rig.parts.sweep_cuts import order_of
+from rig.parts.sweep_records import LINES, SweepRecords
 
 COARSE = 0.1  # of the driven line: a misfit beyond which laws are fitted to its logarithm
 CLEARLY = 100.0  # standard deviations that a line must have for its logarithm
@@ -41,7 +41,7 @@ class Asked:
     rest: Remainder
 
 
-def laws(part: Part, data: SineRecords, asked: Asked, score: Score) -> Iterator[tuple[str, dict[int, float]]]:
+def laws(part: Part, data: SweepRecords, asked: Asked, score: Score) -> Iterator[tuple[str, dict[int, float]]]:
     """Laws with the χ² that each would remove; of the logarithm where the driven line misses by far."""
     if asked.component in DRIVEN:
         ratio = _against(data, asked.rest)
@@ -51,7 +51,7 @@ def laws(part: Part, data: SineRecords, asked: Asked, score: Score) -> Iterator[
     return scored(part, _shapes(data, asked), _beside(data, asked), asked.rows, score)
 
 
-def _against(data: SineRecords, rest: Remainder) -> NDArray[np.inexact]:
+def _against(data: SweepRecords, rest: Remainder) -> NDArray[np.inexact]:
     """Driven line, observed ÷ predicted, where the noise is below a hundredth of it, else NaN; (c, p).
 
     What is known of the bench is taken as stated: a misfit that large has bent it.
@@ -64,7 +64,7 @@ def _against(data: SineRecords, rest: Remainder) -> NDArray[np.inexact]:
         return np.where(clear, seen / wanted, np.nan)
 
 
-def _coarse(data: SineRecords, asked: Asked, against: NDArray[np.inexact]) -> Iterator[tuple[str, dict[int, float]]]:
+def _coarse(data: SweepRecords, asked: Asked, against: NDArray[np.inexact]) -> Iterator[tuple[str, dict[int, float]]]:
     """Laws of the logarithm of observed ÷ predicted, whose real part is the magnitude and imaginary part the phase.
 
     Weighted least squares of one coefficient; of the magnitude less its mean, which the sensitivity takes up.
@@ -92,7 +92,7 @@ def _weighted_gain(y: Array, v: Array, weight: Array, *, centred: bool) -> float
     return float(weight @ (y * v)) ** 2 / square if square > HIDDEN * float(weight.sum()) else 0.0
 
 
-def _beside(data: SineRecords, asked: Asked) -> list[NDArray[np.inexact]]:
+def _beside(data: SweepRecords, asked: Asked) -> list[NDArray[np.inexact]]:
     """An error of magnitude of any power of frequency beside one of phase, and the other way round.
 
     A lag has both; its phase is judged whatever the magnitude does.
@@ -109,7 +109,7 @@ def _relative(values: Array, driven: Mask) -> Array:
     return np.where(driven, values, 1.0) / np.where(driven, float(np.median(values[driven])), 1.0)
 
 
-def _shapes(data: SineRecords, asked: Asked) -> Iterator[Shape]:
+def _shapes(data: SweepRecords, asked: Asked) -> Iterator[Shape]:
     driven = data.driven
     f = _relative(data.frequency, driven)
     level = _relative(np.abs(data.shown[:, 1]), driven)
@@ -134,7 +134,7 @@ def _powers(component: str) -> Mapping[int, str]:
     return {} if "mains" in component else ABSOLUTE
 
 
-def _lines(data: SineRecords, asked: Asked, size: Array) -> tuple[NDArray[np.inexact], ...]:
+def _lines(data: SweepRecords, asked: Asked, size: Array) -> tuple[NDArray[np.inexact], ...]:
     """Disturbances of one line of every channel by a real size per record (p,), V, each (c, p, LINES)."""
     if asked.component in DRIVEN:
         return (_of_driven(asked.rest, size, asked.component),)
@@ -160,7 +160,7 @@ def _of_driven(rest: Remainder, size: Array, component: str) -> NDArray[np.inexa
     return np.asarray(np.nan_to_num(raw))
 
 
-def growth(data: SineRecords, domain: str, row: int, found: Prediction) -> Growth | None:
+def growth(data: SweepRecords, domain: str, row: int, found: Prediction) -> Growth | None:
     """Size of a harmonic before the output filter, against frequency and level."""
     if not domain.endswith("f"):
         return None

@@ -9,19 +9,19 @@ import numpy as np
 
 from rig.parts.remainder import Sign
 from rig.parts.ripple import said
-from rig.parts.sine_lines import drive_clock
-from rig.parts.sine_records import SineRecords
+from rig.parts.sweep_lines import drive_clock
+from rig.parts.sweep_records import SweepRecords
 
 CLOCK = 20e-6  # what generator and converter state of their clocks together, relative
 
 
-def signs(sweeps: Sequence[SineRecords]) -> Iterator[Sign]:
+def signs(sweeps: Sequence[SweepRecords]) -> Iterator[Sign]:
     """Samples of the vibrometer that stand out of their record, and the driven frequency by the converter's clock."""
     yield from _dropouts(sweeps)
     yield from _clock(sweeps)
 
 
-def _dropouts(sweeps: Sequence[SineRecords]) -> Iterator[Sign]:
+def _dropouts(sweeps: Sequence[SweepRecords]) -> Iterator[Sign]:
     outliers = np.concatenate([data.outliers[data.driven] for data in sweeps])
     hit = outliers[outliers[:, 0] > 0.0]
     if len(hit) < 2:
@@ -39,7 +39,7 @@ def _dropouts(sweeps: Sequence[SineRecords]) -> Iterator[Sign]:
     yield Sign("ldv_dropout", at, u, 36.0 * len(hit), because)
 
 
-def _clock(sweeps: Sequence[SineRecords]) -> Iterator[Sign]:
+def _clock(sweeps: Sequence[SweepRecords]) -> Iterator[Sign]:
     ratios = [
         data.frequency[driven] / data.nominal[driven] - 1.0
         for data in sweeps
@@ -54,20 +54,20 @@ def _clock(sweeps: Sequence[SineRecords]) -> Iterator[Sign]:
     yield Sign("clock_ratio", {"error": error}, {"error": CLOCK}, (error / CLOCK) ** 2, because)
 
 
-def drive_off(data: SineRecords) -> bool:
+def drive_off(data: SweepRecords) -> bool:
     """Whether the drive is off and not the converter's clock: mains lines then come out at the mains frequency."""
     return drive_clock(data.frequency, data.nominal, data.leftovers, data.mains) is not None
 
 
-def _levels(sweeps: Sequence[SineRecords]) -> set[str]:
+def _levels(sweeps: Sequence[SweepRecords]) -> set[str]:
     return {level for data in sweeps for level in data.level if level != "rest"}
 
 
-def _axes(sweeps: Sequence[SineRecords]) -> list[str]:
+def _axes(sweeps: Sequence[SweepRecords]) -> list[str]:
     return sorted({data.axis for data in sweeps})
 
 
-def lacks(sweeps: Sequence[SineRecords]) -> Iterator[str]:
+def lacks(sweeps: Sequence[SweepRecords]) -> Iterator[str]:
     """What these sweeps cannot show."""
     if not sweeps:
         yield "no sweep: the dynamics of the accelerometers, their nonlinearity and cross-axis sensitivity"
@@ -84,7 +84,7 @@ def lacks(sweeps: Sequence[SineRecords]) -> Iterator[str]:
         yield f"driven along {', '.join(axes)} only: accelerometers across it feel no drive but gravity"
 
 
-def unmeasured(sweeps: Sequence[SineRecords], blind: Sequence[str]) -> Iterator[tuple[str, str]]:
+def unmeasured(sweeps: Sequence[SweepRecords], blind: Sequence[str]) -> Iterator[tuple[str, str]]:
     """What a sweep could still measure, and the command."""
     if not sweeps:
         yield "no sweep: dynamics of the accelerometers, nonlinearity, cross-axis", "rig sweep --axis x"
@@ -100,7 +100,7 @@ def unmeasured(sweeps: Sequence[SineRecords], blind: Sequence[str]) -> Iterator[
             yield f"not driven along {axis}", f"rig sweep --axis {axis}"
 
 
-def responses(data: SineRecords) -> Mapping[tuple[str, float, str], tuple[complex, float]]:
+def responses(data: SweepRecords) -> Mapping[tuple[str, float, str], tuple[complex, float]]:
     """Response and relative variance of each part by channel, nominal frequency and level, for the driven axis."""
     found = {}
     for c in data.along:

@@ -23,25 +23,25 @@ from numpy.typing import NDArray
 
 from rig.model import Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
-from rig.parts import sine_cuts, sine_laws, sine_options, sine_signs
+from rig.parts import sweep_cuts, sweep_laws, sweep_options, sweep_signs
 from rig.parts.formulas import OF_SHAKER
 from rig.parts.part import Option, Part
 from rig.parts.reading.conditions import filled, logged
 from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.parts.ripple import Floor, said
-from rig.parts.sine_records import LINES, MAINS_ORDERS, WIDTH, SineRecords
+from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
 
 HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
 
 
-class Sines(Part):
+class Sweep(Part):
     """One mounting on the shaker as a part of a fit."""
 
     experiment = "shaker"
     formulas = OF_SHAKER
 
-    def __init__(self, data: SineRecords) -> None:
+    def __init__(self, data: SweepRecords) -> None:
         super().__init__(data.name, data.run, data.channels, len(data.frequency) * WIDTH, notes=data.notes)
         self.data = data
         self.instruments = frozenset({"vibrometer"} if data.vibrometer else ())
@@ -218,13 +218,13 @@ class Sines(Part):
         return made
 
     def responses(self) -> Mapping[tuple[str, float, str], tuple[complex, float]]:
-        return sine_signs.responses(self.data)
+        return sweep_signs.responses(self.data)
 
     # noise, and what the rows stand for
 
     def noise(self) -> Array:
         """The sensor's noise, and the reference's in channels along the drive; of a line half in each row."""
-        return sine_cuts.noise(self.data).reshape(len(self.row_names), -1)
+        return sweep_cuts.noise(self.data).reshape(len(self.row_names), -1)
 
     def numbers(self) -> Array:
         """Means and complex lines."""
@@ -236,33 +236,33 @@ class Sines(Part):
         return np.full(len(self.row_names), np.nan)
 
     def domains(self) -> Mapping[str, Mask]:
-        return sine_cuts.domains_of(self.data)
+        return sweep_cuts.domains_of(self.data)
 
     def components(self) -> Mapping[str, Mask]:
         """The driven line as magnitude and phase."""
-        return sine_cuts.components(self.data)
+        return sweep_cuts.components(self.data)
 
     def cuts(self) -> Sequence[Cut]:
-        return tuple(sine_cuts.cuts(self.data))
+        return tuple(sweep_cuts.cuts(self.data))
 
     def joined(self, cuts: Sequence[Cut]) -> str:
         """Neighbouring frequencies as one span."""
-        return sine_cuts.joined(self.data, cuts) if cuts[0].kind == "frequency" else super().joined(cuts)
+        return sweep_cuts.joined(self.data, cuts) if cuts[0].kind == "frequency" else super().joined(cuts)
 
     def squares(self, rest: Remainder) -> Array:
-        return sine_cuts.squares(self.data, rest)
+        return sweep_cuts.squares(self.data, rest)
 
     def series(self, rest: Remainder) -> Iterator[Series]:
         """The driven line along frequency and along time."""
-        return sine_cuts.series(self.data, rest)
+        return sweep_cuts.series(self.data, rest)
 
     def laws(
         self, component: str, rows: Sequence[int], rest: Remainder, score: Score
     ) -> Iterator[tuple[str, dict[int, float]]]:
-        return sine_laws.laws(self, self.data, sine_laws.Asked(component, tuple(rows), rest), score)
+        return sweep_laws.laws(self, self.data, sweep_laws.Asked(component, tuple(rows), rest), score)
 
     def growth(self, domain: str, row: int, found: Prediction) -> Growth | None:
-        return sine_laws.growth(self.data, domain, row, found)
+        return sweep_laws.growth(self.data, domain, row, found)
 
     def reversal(self, domain: str, row: int, excess: float, found: Prediction) -> Reversal | None:
         """Even harmonics and the mean stay, odd ones change their sign."""
@@ -283,15 +283,15 @@ class Sines(Part):
 
     @classmethod
     def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:
-        return sine_signs.signs([part.data for part in parts])
+        return sweep_signs.signs([part.data for part in parts])
 
     @classmethod
     def lacks(cls, parts: Sequence[Self]) -> Iterator[str]:
-        return sine_signs.lacks([part.data for part in parts])
+        return sweep_signs.lacks([part.data for part in parts])
 
     @classmethod
     def unmeasured(cls, parts: Sequence[Self], blind: Sequence[str]) -> Iterator[tuple[str, str]]:
-        return sine_signs.unmeasured([part.data for part in parts], blind)
+        return sweep_signs.unmeasured([part.data for part in parts], blind)
 
     def options(self) -> Iterator[Option]:
-        return sine_options.options(self.data, Sines)
+        return sweep_options.options(self.data, Sweep)

@@ -8,10 +8,10 @@ import numpy as np
 
 from rig.motion import ORDERS, Array, Complexes
 from rig.parts.remainder import Cut, Mask, Remainder, Series
-from rig.parts.sine_records import WIDTH, SineRecords, domains, split
+from rig.parts.sweep_records import WIDTH, SweepRecords, domains, split
 
 
-def domains_of(data: SineRecords) -> dict[str, Mask]:
+def domains_of(data: SweepRecords) -> dict[str, Mask]:
     """Rows of the mean and of every line, (width,)."""
     of = np.tile(np.arange(WIDTH), len(data.frequency))
     return {
@@ -20,7 +20,7 @@ def domains_of(data: SineRecords) -> dict[str, Mask]:
     }
 
 
-def components(data: SineRecords) -> dict[str, Mask]:
+def components(data: SweepRecords) -> dict[str, Mask]:
     """The same with the driven line as magnitude and phase: it is turned by its prediction."""
     of = np.tile(np.arange(WIDTH), len(data.frequency))
     found: dict[str, Mask] = {}
@@ -29,7 +29,7 @@ def components(data: SineRecords) -> dict[str, Mask]:
     return found
 
 
-def turned(data: SineRecords, rest: Remainder) -> Complexes:
+def turned(data: SweepRecords, rest: Remainder) -> Complexes:
     """Lines in standard deviations, the driven one turned by its prediction, (c, p, LINES − 1).
 
     Its real part is then an error of magnitude and its imaginary part one of phase.
@@ -43,7 +43,7 @@ def turned(data: SineRecords, rest: Remainder) -> Complexes:
     return lines
 
 
-def squares(data: SineRecords, rest: Remainder) -> Array:
+def squares(data: SweepRecords, rest: Remainder) -> Array:
     """Squares of means and turned lines, (c, width)."""
     c, p = data.usable.shape
     means, _ = split(rest.left, c, p)
@@ -52,7 +52,7 @@ def squares(data: SineRecords, rest: Remainder) -> Array:
     return np.asarray(np.concatenate([means[..., None], pairs], axis=-1).reshape(c, -1) ** 2)
 
 
-def cuts(data: SineRecords) -> Iterator[Cut]:
+def cuts(data: SweepRecords) -> Iterator[Cut]:
     """By frequency, level, time, temperature, supply, and the vibrometer's range."""
     for words, mask in terciles(data.frequency, data.driven):
         yield Cut("frequency", f"{words} Hz", np.repeat(mask, WIDTH))
@@ -73,7 +73,7 @@ def cuts(data: SineRecords) -> Iterator[Cut]:
         yield Cut("range", f"vibrometer at {scale:g} (m/s)/V", np.repeat(data.driven & (data.scale == scale), WIDTH))
 
 
-def joined(data: SineRecords, some: Sequence[Cut]) -> str:
+def joined(data: SweepRecords, some: Sequence[Cut]) -> str:
     """Several spans of frequency as one."""
     f = np.repeat(data.frequency, WIDTH)
     inside = np.concatenate([f[cut.mask] for cut in some])
@@ -96,7 +96,7 @@ def span(low: float, high: float) -> str:
     return first if first == last else f"{first}–{last}"
 
 
-def noise(data: SineRecords) -> Array:
+def noise(data: SweepRecords) -> Array:
     """Variance of every row, referred to the input by the data sheet, SI², (c, p, WIDTH); of a line each part's.
 
     The sensor's noise, and the reference's in channels along the drive.
@@ -113,7 +113,7 @@ def noise(data: SineRecords) -> Array:
     return np.asarray(np.nan_to_num(np.concatenate([variance[..., :1], pairs], axis=-1)))
 
 
-def series(data: SineRecords, rest: Remainder) -> Iterator[Series]:
+def series(data: SweepRecords, rest: Remainder) -> Iterator[Series]:
     """Magnitude and phase of the driven line in channels along the drive, along frequency and along time."""
     lines = turned(data, rest)[..., 0]
     driven = np.flatnonzero(data.driven)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.parts.sine_records import Leftover
+from rig.parts.sweep_records import Leftover
 from rig.signals import noise
 from rig.signals.spectrum import Density, log_bins
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.motion import ORDERS, Array
 from rig.parts.part import Option, Part
-from rig.parts.sine_records import LINES, SineRecords, directions
+from rig.parts.sweep_records import LINES, SweepRecords, directions
 
 HIGHEST = 1000.0  # Hz; the converter allows 1220, but records of 1 s lose whole cycles near that
 RECORD, PAUSE = 1.0, 1.6  # s of one point, and between two; longer ones lose whole cycles
@@ -21,7 +21,7 @@ Plan = tuple[str, Sequence[str], tuple[float, float], int]
 """Axis, levels, limits of frequency (Hz) and points of a sweep."""
 
 
-def options(data: SineRecords, make: Callable[[SineRecords], Part]) -> Iterator[Option]:
+def options(data: SweepRecords, make: Callable[[SweepRecords], Part]) -> Iterator[Option]:
     """Sweeps that the bench can do: again, wider, with more points or levels, along another axis, later."""
     axis = data.axis
     band, wide = (20.0, 500.0), (60.0, HIGHEST)
@@ -48,15 +48,15 @@ def options(data: SineRecords, make: Callable[[SineRecords], Part]) -> Iterator[
 
 
 def _sweep(
-    data: SineRecords, make: Callable[[SineRecords], Part], plan: Plan, later: float = 0.0
+    data: SweepRecords, make: Callable[[SweepRecords], Part], plan: Plan, later: float = 0.0
 ) -> Callable[[], Part]:
     return lambda: make(swept(data, *plan, later=later))
 
 
 def swept(
-    data: SineRecords, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int,
+    data: SweepRecords, axis: str, levels: Sequence[str], limits: tuple[float, float], points: int,
     seconds: float = RECORD, later: float = 0.0,
-) -> SineRecords:  # fmt: skip
+) -> SweepRecords:  # fmt: skip
     """A sweep as it would be recorded after the one of `data`: motion, noise and conditions, nothing observed."""
     peaks = np.abs(data.shown[:, 1])
     highest = float(peaks.max())
@@ -94,7 +94,7 @@ def _range(values: Array) -> tuple[float, float]:
     return float(values[0]), float(values[-1])
 
 
-def _reference_noise(data: SineRecords, f: Array, seconds: float) -> Array:
+def _reference_noise(data: SweepRecords, f: Array, seconds: float) -> Array:
     """Variance of the reference's lines: that of its velocity is the same at all frequencies."""
     driven = data.frequency > 0.0
     length = float(np.median((data.end - data.begin)[driven]))

@@ -66,8 +66,10 @@ def _import(manifest: Path, data: Path | None, runs: Path, dry_run: bool, as_jso
         click.echo("nothing was written")
         say_next(again(without="dry_run"))
     else:
+        from rig.parts.reading.imported import comparable
+
         click.echo(f"run {name}")
-        say_next(command("show" if read.manifest.kind == "static" else "compare", name))
+        say_next(command("compare" if comparable(read.manifest) else "show", name))
 
 
 def read_as_json(read: Read, name: str | None) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.archive.records import Recorded
 from rig.errors import BadInput
+from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
 from rig.parts import nuisances
@@ -39,11 +40,16 @@ def reading_of(foreign: Foreign) -> Reading:
     """An imported run. Raises BadInput for data of a kind that no model can be compared with."""
     _refuse_standing_clocks(foreign)
     kind = foreign.manifest.kind
-    if kind not in KINDS:
+    if not comparable(foreign.manifest):
         wanted = f"wanted one with motion (its noise: `rig show {foreign.run}`)"
         raise BadInput(f"{foreign.run}: found a {kind} record, {wanted}")
     found = KINDS[kind](foreign)
     return replace(found, known=(*found.known, *gains_of(foreign, [part.name for part in found.parts])))
+
+
+def comparable(manifest: Manifest) -> bool:
+    """Whether a model can be compared with what a manifest describes."""
+    return manifest.kind in KINDS
 
 
 def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:

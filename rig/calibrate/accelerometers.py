@@ -49,13 +49,17 @@ class Setup:
 
 @dataclass(frozen=True)
 class Observed:
-    """Complex responses of one channel, V/(m/s²), with relative standard uncertainty of each part; all shape (n,)."""
+    """Complex responses of one channel, V/(m/s²), with relative standard uncertainty of each part; all shape (n,).
+
+    `run` and `index` say which point of which run each is.
+    """
 
     frequency: Array
     response: Complexes
     u_relative: Array
     peak: Array
     run: tuple[str, ...]
+    index: tuple[int, ...]
 
 
 def observed(points: Iterable[SinePoint], channel: str) -> Observed:
@@ -71,6 +75,7 @@ def observed(points: Iterable[SinePoint], channel: str) -> Observed:
         u_relative=u / np.abs(response),
         peak=np.array([p.peak for p in good]),
         run=tuple(p.run for p in good),
+        index=tuple(p.index for p in good),
     )
 
 

@@ -12,7 +12,7 @@ the observations' noise and one signed coefficient for each prior.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Adjustment:
     """`values` and `covariance` of the parameters by `names`; χ² with `dof`, priors included.
 
     `noise` is the part of the covariance that comes from the observations; `coefficients[j]` is ∂p/∂p0_j for the prior
-    of parameter j, shape (parameters,).
+    of parameter j, shape (parameters,). `weights` are ∂p/∂(residual), shape (parameters, observations).
     """
 
     names: tuple[str, ...]
@@ -48,6 +48,7 @@ class Adjustment:
     priors: Mapping[str, Prior]
     chi2: float
     dof: int
+    weights: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     def value(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
@@ -140,4 +141,5 @@ def _adjusted(
         priors=dict(priors),
         chi2=float(left @ left),
         dof=jacobian.shape[0] - jacobian.shape[1],
+        weights=gain[:, :count],
     )

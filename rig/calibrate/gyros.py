@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,8 @@ class Rows:
     acceleration: Array
     force: Array
     run: NDArray[np.int64]
+    begin: Array
+    end: Array
     covariance: Array
     timing: Array
 
@@ -94,6 +96,8 @@ def rows(
         acceleration=np.concatenate([b.mount.sense * b.acceleration for b in parts]),
         force=np.concatenate([_force(b, cube_axis, setup.gravity) for b in parts]),
         run=run,
+        begin=begin,
+        end=end,
         covariance=covariance,
         timing=_timing(parts),
     )
@@ -138,6 +142,8 @@ class GyroFit:
     channel: str
     solution: Solution
     noise: Resting
+    blocks: Rows
+    design: Array
 
     @property
     def sensitivity(self) -> float:
@@ -176,7 +182,8 @@ def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup:
     design = np.column_stack([*columns, found.rate])
     first = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
     covariance = found.covariance + float(first.parameters[-1]) ** 2 * found.timing
-    return GyroFit(channel, gls(design, found.volts, covariance, [*names, "sensitivity"]), noise)
+    solution = gls(design, found.volts, covariance, [*names, "sensitivity"])
+    return GyroFit(channel, solution, noise, replace(found, covariance=covariance), design)
 
 
 def sensitivity_result(fit: GyroFit, setup: Setup) -> Result:

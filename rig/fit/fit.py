@@ -47,6 +47,7 @@ class State:
     terms: tuple[Term, ...]
     poles: bool = True  # False: the model has no output filter (the paper's)
     leader: Mapping[str, str] = field(default_factory=dict)
+    free: bool = False  # nothing is believed of sensitivities beforehand: what a data sheet says moves no calibration
 
     @property
     def shared(self) -> bool:
@@ -64,10 +65,13 @@ class State:
         return Local(part.channels.sensitivity * (1.0 + gain), pole, self.zero[number])
 
 
-def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, shared: bool = False) -> State:
+def begin(
+    parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, shared: bool = False, free: bool = False
+) -> State:
     """Where a fit starts: data-sheet values, zero outputs as the parts have them.
 
-    `shared`: one sensitivity for all channels of a quantity.
+    `shared`: one sensitivity for all channels of a quantity; `free`: the data sheet says where a fit begins and not
+    what sensitivities are likely.
     """
     names = dict.fromkeys(name for part in parts for name in part.channels.names)
     first: dict[bool, str] = {}
@@ -83,6 +87,7 @@ def begin(parts: Sequence[Part], terms: Sequence[Term], *, poles: bool = True, s
         tuple(terms),
         poles,
         leader,
+        free,
     )
 
 
@@ -242,7 +247,7 @@ def prior_of(parts: Sequence[Part], state: State) -> tuple[Array, Array]:
     tolerance = {n: float(t) for p in parts for n, t in zip(p.channels.names, p.channels.tolerance, strict=True)}
     for place, name in enumerate(order.channels):
         values[2 * place : 2 * place + 2] = state.gain[name], state.log_pole[name]
-        weights[2 * place : 2 * place + 2] = tolerance[name] ** -2.0, POLE_TOLERANCE**-2.0
+        weights[2 * place : 2 * place + 2] = 0.0 if state.free else tolerance[name] ** -2.0, POLE_TOLERANCE**-2.0
     for first, one in zip(order.nuisances, state.nuisance, strict=True):
         values[first : first + len(one)], weights[first : first + len(one)] = one, 1.0
     for first, term in zip(order.terms, state.terms, strict=True):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import Local, Quantity, Term, volts
-from rig.motion import Array, Motion, Stretches
+from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts import platter_laws, platter_options, platter_signs
 from rig.parts.formulas import OF_PLATTER
 from rig.parts.laws import scored
@@ -139,6 +139,47 @@ class Platter(Part):
             "cst,ct->cs", self._means[moved], np.concatenate(means, axis=1)
         )
         return found.reshape(-1)
+
+    def noise_like(self, row: int, random: np.random.Generator, count: int) -> Array:
+        """Noise as that of one channel, V, drawn so often: (count, n), nothing in windows that no stretch has.
+
+        Means of the stretches have the covariance of the run, lines of each the density of the noise.
+        """
+        from scipy.fft import idct
+
+        data, found = self.data, np.zeros((count, self.data.observed.shape[1]))
+        since = float(data.time[0])
+        begin = np.array([data.time[b] for b, _ in data.stretches]) - since - 0.5 * data.interval
+        end = np.array([data.time[e - 1] for _, e in data.stretches]) - since + 0.5 * data.interval
+        root = np.linalg.cholesky(data.noise[row].covariance(begin, end))
+        means = random.standard_normal((count, len(begin))) @ root.T
+        for k, (b, e) in enumerate(data.stretches):
+            f = np.arange(1, e - b) / (2.0 * (e - b) * data.interval)
+            lines = random.standard_normal((count, e - b)) * np.sqrt(
+                np.concatenate([[0.0], data.noise[row].density(f) / (2.0 * data.interval)])
+            )
+            lines[:, 0] = means[:, k] * np.sqrt(e - b)
+            found[:, b:e] = idct(lines, type=2, norm="ortho", axis=1)
+        return found
+
+    def spans(self) -> tuple[Array, Array]:
+        """Begin and end (bench clock, s) of every window, (n,)."""
+        half = 0.5 * self.data.interval
+        return self.data.time - half, self.data.time + half
+
+    def whitened_noise(self, row: int, one: Array) -> Array:
+        """Rows of one draw, in standard deviations, (rows,)."""
+        raw = np.zeros(self.data.observed.shape)
+        raw[row] = one
+        return self.whitened(raw)
+
+    def means_of(self, row: int, drawn: Array) -> Array:
+        """Means of what `noise_like` drew, (count, n)."""
+        return drawn
+
+    def driven_of(self, row: int, drawn: Array) -> dict[tuple[str, int], Complexes]:
+        """Nothing is driven here."""
+        return {}
 
     @cached_property
     def _together(self) -> list[tuple[int, int, int, Array]]:

@@ -159,6 +159,59 @@ class Sweep(Part):
         found = np.concatenate([means[..., None], both.reshape(k, c, p, -1)], axis=-1).reshape(k, -1)
         return np.asarray(found[0] if single else found.T)
 
+    def noise_like(self, row: int, random: np.random.Generator, count: int) -> Complexes:
+        """Noise of all channels that a channel is compared with, V, drawn so often: (count, c, p, LINES).
+
+        That of the reference, which all channels along the drive share, is in the lines of each; there is none where
+        there is no observation.
+        """
+        data = self.data
+        good = data.usable[..., None] & np.isfinite(data.variance)
+        sigma = np.where(good, np.sqrt(np.nan_to_num(data.variance)), 0.0)
+        shared = random.standard_normal((count, 1, *good.shape[1:])) + 1j * random.standard_normal(
+            (count, 1, *good.shape[1:])
+        )
+        own = random.standard_normal((count, *good.shape)) + 1j * random.standard_normal((count, *good.shape))
+        found = np.asarray(own * sigma, np.complex128)
+        found[..., 1:] += shared[..., 1:] * self._follows() * good[..., 1:]
+        for c in range(len(good)):
+            used, root = self._roots[c]
+            found[:, c, :, 0] = 0.0
+            found[:, c, used, 0] = random.standard_normal((count, len(used))) @ root.T
+        return found
+
+    @cached_property
+    def _roots(self) -> list[tuple[NDArray[np.intp], Array]]:
+        """Of every channel the records that count, and the Cholesky factor of the covariance of their means."""
+        data, found = self.data, []
+        since = float(data.begin.min())
+        for usable, model in zip(data.usable, data.noise, strict=True):
+            used = np.flatnonzero(usable)
+            covariance = model.covariance(data.begin[used] - since, data.end[used] - since)
+            found.append((used, np.asarray(np.linalg.cholesky(covariance), np.float64)))
+        return found
+
+    def whitened_noise(self, row: int, one: Complexes) -> Array:
+        """Rows of one draw, in standard deviations, (rows,)."""
+        return self.whitened(one)
+
+    def spans(self) -> tuple[Array, Array]:
+        """Begin and end (bench clock, s) of every mean, (p,)."""
+        return self.data.begin, self.data.end
+
+    def means_of(self, row: int, drawn: Complexes) -> Array:
+        """Means of a channel in what `noise_like` drew, (count, p)."""
+        return np.asarray(drawn[:, row, :, 0].real)
+
+    def driven_of(self, row: int, drawn: Complexes) -> dict[tuple[str, int], Complexes]:
+        """Relative change of a channel's driven line by what `noise_like` drew, by run and point, (count,) each."""
+        seen = self.data.observed[row, :, 1]
+        return {
+            (self.data.run, int(index)): np.asarray(drawn[:, row, p, 1] / seen[p])
+            for p, index in enumerate(self.data.index)
+            if index >= 0
+        }
+
     def each_channel(self, raw: NDArray[np.inexact]) -> Array:
         """Whitened columns of a change that is every channel's own, (rows, c)."""
         c = len(raw)

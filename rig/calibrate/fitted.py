@@ -1,0 +1,184 @@
+"""What the fitted model says of every channel, each experiment against its own reference, with a budget.
+
+The model is fitted to the parts of one experiment (all sweeps, all turntable runs) with sensitivities free: a data
+sheet says where the fit begins and not what is likely. The estimate errs by
+
+    Δθ = N⁻¹(Jᵀ ε + Σ_k e_k w_k Δp_k),     N = JᵀJ + diag(w)
+
+with whitened noise ε and what is wrong with each prior value p_k (weight w_k = u_k⁻²), so that its covariance falls
+apart into the noise's share N⁻¹JᵀJN⁻¹ and one line N⁻¹e_k·w_k·u_k for every prior (JCGM 100 5.2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from rig.fit import adequacy
+from rig.fit.evidence import Evidence
+from rig.fit.fit import NEGLIGIBLE, Fit, begin, fit, fitted, prior_of
+from rig.model import Term
+from rig.motion import Array
+from rig.parts.part import Indices
+
+KNOWN = 0.25  # relative: a sensitivity that noise leaves less certain is not determined
+WHOLE = 1.0 - 1e-6  # share of a parameter that the data must see
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """The model that a calibration stands on: effects beside the data sheet's, and where they were written down."""
+
+    terms: tuple[Term, ...] = ()
+    poles: bool = True
+    shared: bool = False
+    name: str = "data sheet"
+    digest: str = ""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What one prior does to an estimate: name of the effect (or parameter), standard uncertainty, ∂estimate/∂prior."""
+
+    name: str
+    u: float
+    coefficient: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value in SI; `u_noise` its standard uncertainty from noise alone; the priors' share line by line.
+
+    `influence` is ∂value/∂(whitened row), (rows,).
+    """
+
+    value: float
+    u_noise: float
+    pulls: tuple[Pull, ...]
+    influence: Array = field(repr=False)
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty from noise and priors."""
+        return math.hypot(self.u_noise, *(one.coefficient * one.u for one in self.pulls))
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The model fitted to all parts of one experiment."""
+
+    name: str
+    fit: Fit
+
+    @cached_property
+    def worst(self) -> adequacy.Group | None:
+        """The group of rows that the model misses most, if it misses any."""
+        one = adequacy.worst(self.fit)
+        return one if one is not None and one.z >= adequacy.LIMIT else None
+
+    @cached_property
+    def _weights(self) -> Array:
+        return prior_of(self.fit.parts, self.fit.state)[1]
+
+    @cached_property
+    def _covariance(self) -> Array:
+        return self.fit.covariance
+
+    @cached_property
+    def _seen(self) -> Array:
+        """Share of every parameter that the data and priors see, (parameters,)."""
+        size = np.sqrt(np.diag(self.fit.normal))
+        there = size > 0.0
+        scale = np.where(there, size, 1.0)
+        values, vectors = np.linalg.eigh(self.fit.normal / np.outer(scale, scale))
+        kept = values > NEGLIGIBLE * values[-1]
+        return np.asarray(np.sum(vectors[:, kept] ** 2, axis=1) * there)
+
+    def sensitivity(self, channel: str) -> Estimate | None:
+        """V per SI unit; None if the parts do not determine it."""
+        return self._scaled(channel, 0)
+
+    def bandwidth(self, channel: str) -> Estimate | None:
+        """Corner of the output filter, Hz; None if the model has none or the parts say no more than the data sheet."""
+        if not self.fit.state.poles:
+            return None
+        return self._scaled(channel, 1)
+
+    def offset(self, channel: str, parts: Sequence[int]) -> Estimate | None:
+        """Zero output, V: generalised mean over some parts; None if none of them determines it."""
+        rows = [self._own(n, channel)[2] for n in parts if channel in self.fit.parts[n].channels.names]
+        rows = [row for row in rows if self._seen[row] > WHOLE]
+        if not rows:
+            return None
+        covariance = self._covariance[np.ix_(rows, rows)]
+        weights = np.linalg.pinv(covariance, hermitian=True).sum(axis=0)
+        weights = weights / weights.sum()
+        values = [float(self.fit.state.zero[n][self.fit.parts[n].channels.names.index(channel)])
+                  for n in parts if channel in self.fit.parts[n].channels.names]  # fmt: skip
+        direction = np.zeros(self.fit.layout.size)
+        direction[rows] = weights
+        return self._along(float(weights @ np.array(values)), direction)
+
+    def _own(self, number: int, channel: str) -> Indices:
+        part = self.fit.parts[number]
+        return np.asarray(self.fit.layout.own(part, number)[part.channels.names.index(channel)])
+
+    def _scaled(self, channel: str, which: int) -> Estimate | None:
+        number = next((n for n, p in enumerate(self.fit.parts) if channel in p.channels.names), None)
+        if number is None:
+            return None
+        part, row = self.fit.parts[number], int(self._own(number, channel)[which])
+        c, local = part.channels.names.index(channel), self.fit.state.local(part, number)
+        nominal = float(part.channels.sensitivity[c])
+        value, slope = ((float(local.sensitivity[c]), nominal), (float(local.pole[c]), float(local.pole[c])))[which]
+        if not math.isfinite(value) or self._seen[row] <= WHOLE:
+            return None
+        direction = np.zeros(self.fit.layout.size)
+        direction[row] = slope
+        found = self._along(value, direction)
+        return found if 0.0 < found.u_noise < KNOWN * abs(value) else None
+
+    def _along(self, value: float, direction: Array) -> Estimate:
+        """A combination of the parameters."""
+        moved = self._covariance @ direction
+        influence = np.zeros(len(self.fit.left))
+        for block in self.fit.blocks:
+            influence[block.rows] += block.matrix @ moved[block.columns]
+        return Estimate(value, float(np.linalg.norm(influence)), tuple(self._pulls(moved)), influence)
+
+    def _pulls(self, moved: Array) -> Iterator[Pull]:
+        """Every prior with a share, those of the poles together."""
+        weights, order = self._weights, self.fit.layout
+        poles = np.arange(len(order.channels)) * 2 + 1
+        if (share := float(np.sqrt(np.sum(moved[poles] ** 2 * weights[poles])))) > 0.0:
+            yield Pull("output_filter", float(weights[poles].max() ** -0.5), share * float(weights[poles].max() ** 0.5))
+        for first, term in zip(order.terms, self.fit.state.terms, strict=True):
+            for k, name in enumerate(fitted(term)):
+                if (weight := float(weights[first + k])) > 0.0:
+                    several = len(fitted(term)) > 1
+                    label = f"{term.effect.name} {name}" if several else term.effect.name
+                    yield Pull(label, weight**-0.5, float(moved[first + k]) * weight)
+        for number, first in enumerate(order.nuisances):
+            extra = moved[first : first + self.fit.parts[number].extra.shape[1]]
+            if len(extra) and (share := float(np.linalg.norm(extra))) > 0.0:
+                yield Pull(f"ripple of {self.fit.parts[number].name}", 1.0, share)
+
+    def rows_of(self, number: int) -> slice:
+        """Rows of a part."""
+        offsets = self.fit.offsets()
+        return slice(offsets[number], offsets[number + 1])
+
+
+def experiments(evidence: Evidence, assumed: Assumed) -> dict[str, Experiment]:
+    """The model fitted to each experiment of the evidence alone, by the experiment's name."""
+    found = {}
+    for name in dict.fromkeys(part.place for part in evidence.parts):
+        parts = tuple(part for part in evidence.parts if part.place == name)
+        terms = [term for term in (*evidence.nuisances, *assumed.terms) if name in term.effect.places]
+        start = begin(parts, terms, poles=assumed.poles, shared=assumed.shared, free=True)
+        found[name] = Experiment(name, fit(parts, start))
+    return found

@@ -59,7 +59,7 @@ class Observed:
     u_relative: Array
     peak: Array
     run: tuple[str, ...]
-    index: tuple[int, ...]
+    index: tuple[int, ...] = ()
 
 
 def observed(points: Iterable[SinePoint], channel: str) -> Observed:

@@ -18,14 +18,18 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.archive.records import Recorded, experiments, mounts, reference, signals, wires_of
-from rig.calibrate import accelerometers, gyros, paper_method, resting, tumbling
+from rig.calibrate import accelerometers, agreement, gyros, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.analyzer_route import second_route
 from rig.calibrate.budget import Budget, Contribution, half_width
 from rig.calibrate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
+from rig.calibrate.fitted import Assumed, Experiment
+from rig.calibrate.fitted import experiments as experiments_fitted
+from rig.calibrate.joined import DirectEstimate, joined, of_model
 from rig.calibrate.resting import Resting
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
+from rig.fit.evidence import evidence_of
 from rig.foreign.tables import is_foreign
 from rig.parts.reading.revolutions import Rotation, rotation_of
 from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
@@ -34,6 +38,7 @@ from rig.signals.noise import coefficients
 
 UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
 DEVIATION = "deviation at rest, 1/30 Hz to half the sampling rate"
+_DATA_SHEET = Assumed()
 RANDOM_WALK = {"acceleration": "(m/s²)·√Hz", "rate": "(rad/s)·√Hz"}
 
 
@@ -59,8 +64,13 @@ def alignment_of(runs: Sequence[Recorded]) -> Alignment:
     return Alignment(beam, mount, radius, True)
 
 
-def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None) -> Calibration:
+def calibrate(
+    runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None, assumed: Assumed | None = _DATA_SHEET
+) -> Calibration:
     """One calibration from all runs of a unit; `digests` are SHA-256 of the seals by run.
+
+    Values stand on the model `assumed`, fitted to all records of an experiment, with the direct estimates beside them;
+    without a model (None) they are the direct estimates.
 
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
@@ -74,7 +84,7 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
     bench = _Bench(done, header, sensor, alignment_of(runs), *resting.noise_of(done, sensor.names, poles))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
-    results = [*shaken.results(), *turned.results()]
+    results, unfitted = _on_model(runs, shaken, turned, assumed)
     results += [*bench.noise_results(list(results), shaken, turned), *_tumble_results(bench)]
     if not any(r.determined for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
@@ -99,10 +109,35 @@ def calibrate(runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | 
         analyzer={} if second is None else second.responses(),
         paper=tuple(paper),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
-        flags=tuple(dict.fromkeys([*bench.flags(), *shaken.flags(), *turned.flags(), *said])),
+        flags=tuple(dict.fromkeys([*unfitted, *bench.flags(), *shaken.flags(), *turned.flags(), *said])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
+        model="" if assumed is None else assumed.words,
     )
+
+
+def _on_model(
+    runs: Sequence[Recorded], shaken: _Shaken, turned: _Turned, assumed: Assumed | None
+) -> tuple[list[Result], tuple[str, ...]]:
+    """Results of sweeps and turntable runs, on the fitted model if one is assumed; and why none was fitted."""
+    results = [*shaken.results(), *turned.results()]
+    if assumed is None:
+        return results, ()
+    fits, unfitted = _fitted(runs, assumed)
+    direct = {one.key: one for one in (*shaken.direct(), *turned.direct())}
+    results = [joined(r, direct[r.key], fits, assumed) if r.key in direct else r for r in results]
+    return [*results, *of_model(fits, assumed)], unfitted
+
+
+def _fitted(runs: Sequence[Recorded], assumed: Assumed) -> tuple[dict[str, Experiment], tuple[str, ...]]:
+    """The model fitted to each experiment; nothing, and why, for runs that no model can be compared with."""
+    moved = [run for run in runs if any("frequency" in b or "phase" in b for b in run.points.values())]
+    if not moved:
+        return {}, ()
+    try:
+        return experiments_fitted(evidence_of(moved), assumed), ()
+    except BadInput as error:
+        return {}, (f"no model was fitted, values are the direct estimates: {error}",)
 
 
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
@@ -346,25 +381,31 @@ class _Shaken:
         title = "zero output"
         for name in self._whole:
             sensor = self._bench.sensor.channel(name)
-            found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
-            if not found or name not in self._bench.noise:
+            found = self._mean_at_rest(sensor)
+            if found is None:
                 why = "no record at rest with this axis horizontal: `static` of a sweep along another axis, or a tumble"
                 yield not_determined(name, "offset", title, "V", why)
             else:
                 yield self._offset(sensor, found)
 
-    def _offset(self, sensor: SensorChannel, found: Sequence[tuple[float, float, float]]) -> Result:
+    def _mean_at_rest(self, sensor: SensorChannel) -> _AtRest | None:
         """Generalised least-squares mean: records that wander together are not counted as independent."""
-        noise = self._bench.noise[sensor.name]
+        found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
+        if not found or sensor.name not in self._bench.noise:
+            return None
         begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
-        value, u = mean_of(volts, noise.slow.covariance(begin, end))
+        weights, u = weights_of(self._bench.noise[sensor.name].slow.covariance(begin, end))
+        return _AtRest(begin, end, weights, float(weights @ volts), u)
+
+    def _offset(self, sensor: SensorChannel, found: _AtRest) -> Result:
+        noise, value, u = self._bench.noise[sensor.name], found.value, found.u
         tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(self._bench.alignment.mount)
         lines = (
             Contribution("noise and wandering", "A", "normal", u, "V", 1.0, gyros.dof_of(noise)),
             Contribution("tilt of the mounting", "B", "rectangular", tilt / math.sqrt(3.0), "V", 1.0,
                          source="declared limit"),
         )  # fmt: skip
-        method = f"mean of {len(volts)} records at rest, axis horizontal"
+        method = f"mean of {len(found.weights)} records at rest, axis horizontal"
         return Result(sensor.name, "offset", "zero output", value, "V", Budget(lines), method, "plumb line")
 
     def responses(self) -> dict[str, tuple[ResponsePoint, ...]]:
@@ -376,6 +417,19 @@ class _Shaken:
             for name, fit in self._whole.items()
         }
 
+    def direct(self) -> Iterator[DirectEstimate]:
+        """What the direct estimators say, to be held against the fit."""
+        for name, fit in self._whole.items():
+            for measurand, parameter, value in (
+                ("sensitivity", "log_sensitivity", fit.sensitivity), ("bandwidth", "log_pole", fit.pole),
+            ):  # fmt: skip
+                u = abs(value) * fit.adjustment.u_noise(parameter)
+                yield DirectEstimate(f"{name}.{measurand}", "shaker", value, u, agreement.of_response(fit, parameter))
+            level = self._mean_at_rest(self._bench.sensor.channel(name))
+            if level is not None:
+                change = agreement.of_means(level.begin, level.end, level.weights)
+                yield DirectEstimate(f"{name}.offset", "shaker", level.value, level.u, change)
+
     def flags(self) -> Iterator[str]:
         for group in self.points:
             for point in group:
@@ -383,12 +437,22 @@ class _Shaken:
                     yield f"{point.run}, {point.frequency:.4g} Hz {point.level}: {flag}; the point was left out"
 
 
-def mean_of(volts: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
-    """Best mean of correlated values, and its standard uncertainty."""
-    inverse = np.linalg.pinv(covariance, hermitian=True)
-    weights = inverse.sum(axis=0)
+@dataclass(frozen=True)
+class _AtRest:
+    """A weighted mean of records at rest between `begin` and `end` (bench clock, s), V."""
+
+    begin: NDArray[np.float64]
+    end: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    value: float
+    u: float
+
+
+def weights_of(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Weights of the best mean of correlated values, and its standard uncertainty."""
+    weights = np.linalg.pinv(covariance, hermitian=True).sum(axis=0)
     total = float(weights.sum())
-    return float(weights @ volts) / total, total**-0.5
+    return np.asarray(weights / total), total**-0.5
 
 
 def _level_rests(records: Recorded, sensor: SensorChannel) -> Iterator[tuple[float, float, float]]:
@@ -479,6 +543,21 @@ class _Turned:
         yield gyros.offset_result(fit)
         yield from gyros.linearity_results(rotations, fit, setup)
 
+    def direct(self) -> Iterator[DirectEstimate]:
+        """What the direct estimators say, to be held against the fit."""
+        for name, fit in self._fits.items():
+            weights, blocks = agreement.gls_weights(fit), fit.blocks
+            mean = weights[:-1].mean(axis=0)
+            zero = float(fit.solution.parameters[:-1].mean())
+            share = np.full(len(weights) - 1, 1.0 / (len(weights) - 1))
+            u_zero = math.sqrt(float(share @ fit.solution.covariance[:-1, :-1] @ share))
+            u = float(fit.solution.u[-1])
+            for measurand, value, u_value, row in (
+                ("sensitivity", fit.sensitivity, u, weights[-1]), ("offset", zero, u_zero, mean),
+            ):  # fmt: skip
+                change = agreement.of_means(blocks.begin, blocks.end, row)
+                yield DirectEstimate(f"{name}.{measurand}", "turntable", value, u_value, change)
+
     def _centripetal(self, setup: gyros.Setup) -> Iterator[Result]:
         everything = [r for several in self._rotations.values() for r in several]
         for name, noise in self._bench.noise.items():
@@ -533,7 +612,9 @@ def _judged(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
             yield result
             continue
         low, high = sorted(channel.nominal * (1.0 + sign * channel.tolerance) for sign in (-1.0, 1.0))
-        yield replace(result, low=low, high=high, verdict=verdict(abs(result.value), result.expanded, low, high))
+        said = verdict(abs(result.value), result.expanded, low, high)
+        # a model that leaves something over says nothing about limits
+        yield replace(result, low=low, high=high, verdict="inconclusive" if result.status == "flagged" else said)
 
 
 def digest_of(seal: bytes) -> str:

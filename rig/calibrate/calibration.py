@@ -221,6 +221,7 @@ class Calibration:
     overdue: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
     program: Mapping[str, str] = field(default_factory=dict)
+    model: str = ""  # what the values stand on; "" where they are direct estimates
     unit: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -355,6 +356,7 @@ def _calibration(body: Mapping[str, Any]) -> Calibration:
         paper=tuple(PaperRow(**row) for row in body["paper"]),
         overdue=tuple(body["overdue"]),
         flags=tuple(body["flags"]),
+        model=str(body.get("model", "")),
         unit=body.get("unit") or {},
     )
 

@@ -23,7 +23,7 @@ from rig.fit.evidence import Evidence
 from rig.fit.fit import NEGLIGIBLE, Fit, begin, fit, fitted, prior_of
 from rig.model import Term
 from rig.motion import Array
-from rig.parts.part import Indices
+from rig.parts.remainder import Indices
 
 KNOWN = 0.25  # relative: a sensitivity that noise leaves less certain is not determined
 WHOLE = 1.0 - 1e-6  # share of a parameter that the data must see
@@ -36,8 +36,13 @@ class Assumed:
     terms: tuple[Term, ...] = ()
     poles: bool = True
     shared: bool = False
-    name: str = "data sheet"
+    name: str = ""
     digest: str = ""
+
+    @property
+    def words(self) -> str:
+        """`data sheet`, or with what it has beside that."""
+        return " + ".join(["data sheet", *(term.key for term in self.terms)])
 
 
 @dataclass(frozen=True)
@@ -176,8 +181,8 @@ class Experiment:
 def experiments(evidence: Evidence, assumed: Assumed) -> dict[str, Experiment]:
     """The model fitted to each experiment of the evidence alone, by the experiment's name."""
     found = {}
-    for name in dict.fromkeys(part.place for part in evidence.parts):
-        parts = tuple(part for part in evidence.parts if part.place == name)
+    for name in dict.fromkeys(part.experiment for part in evidence.parts):
+        parts = tuple(part for part in evidence.parts if part.experiment == name)
         terms = [term for term in (*evidence.nuisances, *assumed.terms) if name in term.effect.places]
         start = begin(parts, terms, poles=assumed.poles, shared=assumed.shared, free=True)
         found[name] = Experiment(name, fit(parts, start))

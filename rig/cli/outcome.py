@@ -62,7 +62,7 @@ def concluded(records: Records) -> tuple[Calibration | None, str]:
     from rig.errors import BadInput
 
     try:
-        return calibrate([records], records.name), ""
+        return calibrate([records], records.name, assumed=None), ""
     except BadInput as error:
         return None, str(error)
 

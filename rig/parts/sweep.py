@@ -187,7 +187,8 @@ class Sweep(Part):
         since = float(data.begin.min())
         for usable, model in zip(data.usable, data.noise, strict=True):
             used = np.flatnonzero(usable)
-            covariance = model.covariance(data.begin[used] - since, data.end[used] - since)
+            at = np.concatenate([data.begin[used], data.end[used]]).reshape(2, -1) - since
+            covariance = model.covariance(*at) if len(used) else np.zeros((0, 0))
             found.append((used, np.asarray(np.linalg.cholesky(covariance), np.float64)))
         return found
 

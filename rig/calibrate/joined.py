@@ -1,0 +1,135 @@
+"""A result that stands on the fitted model, with the direct estimate beside it.
+
+The direct estimator has laid out the budget: its lines for alignment, time base and temperature stay. The value, the
+noise's share and what each prior contributes become those of the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.calibrate import agreement
+from rig.calibrate.budget import Budget, Contribution
+from rig.calibrate.calibration import Result
+from rig.calibrate.fitted import Assumed, Estimate, Experiment, Pull
+from rig.fit import adequacy
+from rig.fit.parameters import covariance_of, estimates
+
+NOISE = ("noise of the records", "noise and wandering")  # the direct estimators' lines for noise
+LINES: Mapping[str, str] = {
+    "vibrometer_gain": "vibrometer gain", "ldv_delay": "decoder delay", "filter_cutoff": "low-pass cut-off",
+    "output_filter": "output filter",
+}  # fmt: skip
+"""Lines of the direct estimators' budgets for what the fit has as priors."""
+NEGLIGIBLE = 1e-3  # of u: a prior with a smaller share has no line of its own
+LEVEL = 0.1  # of gravity along an axis that lies level
+
+
+@dataclass(frozen=True)
+class DirectEstimate:
+    """What a direct estimator says of one result, `u` from noise alone, and what it makes of noise."""
+
+    key: str
+    experiment: str
+    value: float
+    u: float
+    change: agreement.Direct
+
+
+def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment], assumed: Assumed) -> Result:
+    """The result as the fit has it; as it was where the fit does not determine it."""
+    experiment = fits.get(direct.experiment)
+    estimate = None if experiment is None else _estimate(experiment, result)
+    if experiment is None or estimate is None or result.budget is None:
+        return result
+    factor = max([1.0, *(one.ratio for one in _missed(experiment) if one.channel == result.channel)])
+    lines = tuple(_lines(result, estimate, factor))
+    check = agreement.check(experiment, result.channel, estimate, direct.value, direct.u, direct.change, result.method)
+    said = [] if experiment.worst is None else [_inadequate(experiment, factor)]
+    if not check.agrees:
+        said.append(
+            f"the direct estimate lies {abs(check.delta) / check.u_delta:.1f} standard uncertainties of the difference "
+            "away, wanted 2 at most"
+        )
+    kept = [one for one in result.remarks if "an effect is missing" not in one]  # that was the direct estimator's
+    return replace(
+        result, value=estimate.value, budget=Budget(lines), check=check, remarks=(*said, *kept),
+        method=f"model fitted to all records of the {experiment.name} ({assumed.words}); beside it: {result.method}",
+        status="flagged" if said else "determined",
+    )  # fmt: skip
+
+
+def _estimate(experiment: Experiment, result: Result) -> Estimate | None:
+    match result.measurand:
+        case "sensitivity":
+            return experiment.sensitivity(result.channel)
+        case "bandwidth":
+            return experiment.bandwidth(result.channel)
+        case "offset":
+            return experiment.offset(result.channel, list(_level(experiment, result.channel)))
+        case _:
+            return None
+
+
+def _level(experiment: Experiment, channel: str) -> Iterator[int]:
+    """Parts in which gravity does not lie along a channel; all of them for a gyro."""
+    for number, part in enumerate(experiment.fit.parts):
+        if channel in part.channels.names:
+            row = part.channels.names.index(channel)
+            along = part.reference.up[part.channels.axis[row]]
+            if part.channels.rates[row] or float(np.abs(along).max()) < LEVEL:
+                yield number
+
+
+def _missed(experiment: Experiment) -> list[adequacy.Group]:
+    return [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT and one.count > 1]
+
+
+def _inadequate(experiment: Experiment, factor: float) -> str:
+    one = experiment.worst
+    assert one is not None
+    widened = f"; u of the noise is widened by {factor:.2g}" if factor > 1.0 else ""
+    return (
+        f"the model leaves more than noise on the {experiment.name} ({one.channel}, {one.domain}: {one.ratio:.2g} "
+        f"times): an effect is missing{widened}"
+    )
+
+
+def _lines(result: Result, estimate: Estimate, factor: float) -> Iterator[Contribution]:
+    """The budget of the direct estimate with the fit's shares."""
+    assert result.budget is not None
+    assert result.value is not None
+    pulls = {LINES.get(one.name, one.name): one for one in estimate.pulls}
+    scale = estimate.value / result.value
+    for line in result.budget.contributions:
+        if line.name in NOISE:
+            yield replace(line, u=estimate.u_noise * factor, unit=result.unit, sensitivity=1.0)
+        elif line.name in LINES.values():
+            pull = pulls.pop(line.name, Pull(line.name, line.u, 0.0))
+            yield replace(line, u=pull.u, sensitivity=pull.coefficient)
+        else:
+            yield replace(line, sensitivity=line.sensitivity * (scale if line.unit == "1" else 1.0))
+    for name, pull in pulls.items():
+        if abs(pull.coefficient * pull.u) > NEGLIGIBLE * estimate.u:
+            yield Contribution(name.replace("_", " "), "B", "normal", pull.u, "1", pull.coefficient, source="stated")
+
+
+def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Result]:
+    """Parameters of the model's own effects, from every experiment in which they act."""
+    for experiment in fits.values():
+        for number, term in enumerate(experiment.fit.state.terms):
+            if term.prior or not any(term.effect is one.effect for one in assumed.terms):
+                continue
+            for name, one in estimates(term, covariance_of(experiment.fit, number)).items():
+                if one.u is not None and one.u > 0.0 and np.isfinite(one.value):
+                    line = Contribution("fit of the model", "A", "normal", one.u, one.unit, 1.0)
+                    yield Result(
+                        term.on or term.effect.stage, f"{term.effect.name}_{name}", f"{term.effect.title}: {name}",
+                        one.value, one.unit, Budget((line,)), f"model fitted to all records of the {experiment.name}",
+                        "the references of those records",
+                        status="determined" if experiment.worst is None else "flagged",
+                        remarks=() if experiment.worst is None else (_inadequate(experiment, 1.0),),
+                    )  # fmt: skip

@@ -73,7 +73,8 @@ class Settings(BaseModel):
     seed: int = Field(default=1, ge=0, description="of the random order")
     settle: Time = Field(default=0.3, description="after every change of the drive")
     record: Time = Field(default=1.0, description="at least this long, whole cycles")
-    static: Time = Field(default=5.0, description="record at rest before and after; 0 s leaves it out")
+    static: Time = Field(default=30.0, description="record at rest before, which says how noisy it is; 0 s: none")
+    static_after: Time = Field(default=5.0, description="record at rest after, at most as long as the one before")
     limits: LimitSettings = LimitSettings()
     expect: Expectations = Expectations()
 
@@ -92,9 +93,9 @@ def expand(settings: Settings, facts: BenchFacts) -> Plan:
         settings=settings.model_dump(mode="json"),
         steps=(
             *_set_up(settings, facts),
-            *_rest(settings, "before"),
+            *_rest(settings, "before", settings.static),
             *_ordered(settings, sines),
-            *_rest(settings, "after"),
+            *_rest(settings, "after", min(settings.static, settings.static_after)),
         ),
         mistakes=tuple(mistakes),
         expect={} if expect is None or plug is None else {f"{plug.channel}.sensitivity": expect.within},
@@ -194,12 +195,12 @@ def _set_up(settings: Settings, facts: BenchFacts) -> Iterator[Step]:
     yield AlignBeam("beam", duration=20)
 
 
-def _rest(settings: Settings, when: str) -> Iterator[Static]:
-    if settings.static > 0:
+def _rest(settings: Settings, when: str, seconds: float) -> Iterator[Static]:
+    if seconds > 0:
         yield Static(
             f"static {when}",
-            duration=settings.static + settings.settle,
-            seconds=settings.static,
+            duration=seconds + settings.settle,
+            seconds=seconds,
             purpose=f"static_{when}",
             settle=settings.settle,
         )

@@ -145,7 +145,8 @@ class Effect:
     """One physical effect. Subclasses say what it is and override the hooks of their stage; the rest do nothing.
 
     `quantities`: the channels it can act on, each a statement of its own; () for what acts on the reference or on the
-    motion as a whole. `places`: where it can show. `absorbed`: why no fit can see it beside sensitivity and zero.
+    motion as a whole. `places`: where it can show; only there it is asked.
+    `absorbed`: why no fit can see it beside sensitivity and zero.
     """
 
     name: ClassVar[str] = ""
@@ -169,6 +170,10 @@ class Effect:
     parts: ClassVar[frozenset[str]] = frozenset()  # empty: all at its places; else of the reference of these alone
     elsewhere: ClassVar[str] = ""  # why there is nothing to undo in what a unit shows: "it belongs to the …"
     lost: ClassVar[str] = "its file does not say how"  # why it cannot be undone, where it says no inverse
+
+    def shows(self, place: str) -> bool:
+        """Whether it can show in this kind of experiment."""
+        return place in self.places
 
     def units(self, on: Quantity | None) -> tuple[str, ...]:
         """Units of the parameters for channels of one quantity; `SI` in a unit stands for that quantity's."""
@@ -264,7 +269,7 @@ class Term:
 
 def at_work(terms: Sequence[Term], place: str, part: str) -> list[Term]:
     """Terms that act in a part: at its place, and on its own reference."""
-    return [t for t in terms if place in t.effect.places and (not t.effect.parts or part in t.effect.parts)]
+    return [t for t in terms if t.effect.shows(place) and (not t.effect.parts or part in t.effect.parts)]
 
 
 def volts(
@@ -275,6 +280,7 @@ def volts(
     `motion` is true already as far as the reference goes (see `shaken` and `turned`), and the terms act at its place.
     `before` holds the observed volts of the slot before each channel, for what the multiplexer leaves.
     """
+    terms = [term for term in terms if term.effect.shows(motion.place)]
     for term in terms:
         motion = term.effect.motion(motion, term.at)
     signal = motion.grid.observed(_transduced(motion, channels, terms), _response(channels, local, terms, motion.grid))

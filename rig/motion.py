@@ -194,20 +194,28 @@ class Motion:
         """The same with this specific force added, (3, *G)."""
         return replace(self, force=self.force + more)
 
-    def driven_by(self, response: Complexes) -> Array:
-        """The drive's acceleration after a response at its harmonics (p, 6), as a waveform, m/s², (p, phases)."""
+    @property
+    def sines(self) -> Periods:
+        """The grid of a motion that is driven by sines; TypeError for another."""
         if not isinstance(self.grid, Periods):
             raise TypeError("found a motion that is not driven by sines")
-        return self.grid.waveform(self.along * response)
+        return self.grid
+
+    @property
+    def harmonics(self) -> Array:
+        """Frequencies of the drive's harmonics, Hz, (p, 6)."""
+        return self.sines.harmonics
+
+    def driven_by(self, response: Complexes) -> Array:
+        """The drive's acceleration after a response at its harmonics (p, 6), as a waveform, m/s², (p, phases)."""
+        return self.sines.waveform(self.along * response)
 
     def drive_waveform(self) -> Array:
         """Open-circuit voltage of the source, V, (p, phases): it pushes against the acceleration (a = −ω²kV)."""
-        if not isinstance(self.grid, Periods):
-            raise TypeError("found a motion that is not driven by sines")
         first = np.zeros_like(self.along)
         size = np.abs(self.along[:, 1])
         first[:, 1] = -self.source * self.along[:, 1] / np.where(size > 0.0, size, 1.0)
-        return self.grid.waveform(first)
+        return self.sines.waveform(first)
 
 
 def rigid(motion: Motion, arm: Array) -> Array:

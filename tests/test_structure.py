@@ -10,7 +10,7 @@ from structure import House
 
 ROOMS, ARROWS, SHARE = 34, 135, 0.20
 UNLISTED, UPWARD, CIRCLES = 0, 0, 0
-BRANCHES = 12
+BRANCHES = 0
 LONG, P90, TYPED = 0, 18, 1.0
 
 

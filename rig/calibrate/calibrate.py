@@ -465,7 +465,7 @@ def _level_rests(records: Recorded, sensor: SensorChannel) -> Iterator[tuple[flo
             or mount["place"] != "shaker"
             or not str(body.get("purpose", "")).startswith("static_")
             or "samples" not in body
-            or UP[str(mount["axis"])] == sensor.place
+            or "xyz"[UP[str(mount["axis"])]] == sensor.axis
         ):
             continue
         found = signals(records.samples(body["samples"]))

@@ -23,8 +23,6 @@ class AxisOffset(Effect):
     source = "error sources S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
-        if motion.place != "turntable":
-            return felt
         own = np.stack([rigid(motion, at["offset"] * TOWARDS[i])[i] for i in range(3)])
         return np.asarray(felt + own[channels.axis])
 

@@ -21,7 +21,5 @@ class DriveFeedthrough(Effect):
     elsewhere = "it belongs to the wiring of the shaker"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
-        if motion.place != "shaker":
-            return None
         drive = motion.drive_waveform()
         return np.broadcast_to(at["share"] * drive, (len(channels.names), *drive.shape))

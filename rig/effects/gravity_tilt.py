@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.model import Coordinate, Effect, Motion, Parameter, Periods, Values
+from rig.model import Coordinate, Effect, Motion, Parameter, Values
 
 
 class GravityTilt(Effect):
@@ -22,9 +22,7 @@ class GravityTilt(Effect):
     elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
-        if motion.place != "shaker" or not isinstance(motion.grid, Periods):
-            return motion
-        omega = 2.0 * math.pi * motion.grid.harmonics
+        omega = 2.0 * math.pi * motion.harmonics
         per_acceleration = np.divide(-1.0, omega**2, out=np.zeros_like(omega), where=omega > 0.0)
         tilt = at["per_metre"] * motion.driven_by(per_acceleration.astype(np.complex128))
         return motion.with_force(motion.drive[:, :, None] * motion.gravity * tilt)

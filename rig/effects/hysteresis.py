@@ -24,7 +24,7 @@ class Hysteresis(Effect):
         """A width below zero mirrors it, 2u − play(u, −width), so that it has a slope at zero."""
         width = at["width"]
         varies = np.ptp(u, axis=-1) > 0.0
-        if motion.place != "shaker" or width == 0.0 or not varies.any():
+        if width == 0.0 or not varies.any():
             return u
         found = u.copy()
         found[varies] = _play(u[varies], width) if width > 0.0 else 2.0 * u[varies] - _play(u[varies], -width)

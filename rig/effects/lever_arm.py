@@ -26,8 +26,6 @@ class LeverArm(Effect):
     source = "error sources T15, T16, S30"
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
-        if motion.place not in self.places:
-            return felt
         return np.asarray(felt + rigid(motion, np.array([at["x"], at["y"], at["z"]]))[channels.axis])
 
     def inverse(self, at: Values) -> Inverse:

@@ -32,8 +32,6 @@ class MotorPickup(Effect):
     elsewhere = "it belongs to the motor of the turntable"
 
     def added(self, motion: Motion, channels: Channels, at: Values) -> Array | None:
-        if motion.place != "turntable":
-            return None
         turned = at["order"] * np.nan_to_num(motion.angle)  # before the index has passed the angle is unknown
         wave = motion.motor * (at["cosine"] * np.cos(turned) + at["sine"] * np.sin(turned))
         return np.broadcast_to(wave, (len(channels.names), *wave.shape))

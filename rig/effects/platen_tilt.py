@@ -25,8 +25,6 @@ class PlatenTilt(Effect):
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         """Where the angle is unknown (NaN), nothing is added."""
-        if motion.place != "turntable":
-            return motion
         known = np.isfinite(motion.angle)
         cosine, sine = (np.where(known, turn(motion.angle), 0.0) for turn in (np.cos, np.sin))
         out, tan = at["cosine"] * cosine + at["sine"] * sine, at["sine"] * cosine - at["cosine"] * sine

@@ -22,8 +22,9 @@ class ReferenceTilt(Effect):
 
     def motion(self, motion: Motion, at: Values) -> Motion:
         vector = np.array([at["x"], at["y"], at["z"]])
-        if motion.place == "rotation":  # about its own axis it is the angle at which the encoder counts zero
-            vector[int(np.argmax(np.sum(motion.rate**2, axis=-1)))] = 0.0
+        turns = np.any(motion.rate != 0.0, axis=-1)
+        if np.count_nonzero(turns) == 1:  # about the only axis it is the angle at which the encoder counts zero
+            vector[turns] = 0.0
         turn = _rotation(vector)
         moved = {name: _turned(turn, getattr(motion, name)) for name in ("force", "rate", "turning", "up")}
         return Motion(**{**vars(motion), **moved})

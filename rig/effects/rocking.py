@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.model import Array, Channels, Complexes, Coordinate, Effect, Motion, Parameter, Periods, Values
+from rig.model import Array, Channels, Complexes, Coordinate, Effect, Motion, Parameter, Values
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(90.0, 1000.0, 16).round(1))  # Hz, where a fit may start
 
@@ -33,20 +33,16 @@ class Rocking(Effect):
     elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
-        if motion.place != "shaker" or not isinstance(motion.grid, Periods):
-            return motion
-        up, alpha = motion.up[:, :, None], _alpha(motion.grid.harmonics, at)
-        omega = 2.0 * math.pi * motion.grid.harmonics
+        up, alpha = motion.up[:, :, None], _alpha(motion.harmonics, at)
+        omega = 2.0 * math.pi * motion.harmonics
         turned = np.divide(alpha, 1j * omega, out=np.zeros_like(alpha), where=omega > 0.0)
         rate, turning = motion.driven_by(turned), motion.driven_by(alpha)
         return replace(motion, rate=motion.rate + up * rate, turning=motion.turning + up * turning)
 
     def felt(self, felt: Array, motion: Motion, channels: Channels, at: Values) -> Array:
-        if motion.place != "shaker" or not isinstance(motion.grid, Periods):
-            return felt
         side = np.where(channels.rates | np.isnan(channels.side), 0.0, channels.side)
         share = side[:, None] * motion.drive[channels.axis]
-        return np.asarray(felt + share[:, :, None] * motion.driven_by(_alpha(motion.grid.harmonics, at)))
+        return np.asarray(felt + share[:, :, None] * motion.driven_by(_alpha(motion.harmonics, at)))
 
 
 def _alpha(f: Array, at: Values) -> Complexes:

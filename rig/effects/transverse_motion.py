@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.model import Coordinate, Effect, Motion, Parameter, Periods, Values
+from rig.model import Coordinate, Effect, Motion, Parameter, Values
 
 FREQUENCIES = tuple(float(f) for f in np.geomspace(90.0, 1000.0, 16).round(1))  # Hz, where a fit may start
 
@@ -30,8 +30,8 @@ class TransverseMotion(Effect):
     elsewhere = "it belongs to the shaker's table"
 
     def motion(self, motion: Motion, at: Values) -> Motion:
-        if motion.place != "shaker" or not isinstance(motion.grid, Periods) or at["ratio"] == 0.0:
+        if at["ratio"] == 0.0:
             return motion
-        r = motion.grid.harmonics / at["frequency"]
+        r = motion.harmonics / at["frequency"]
         upward = motion.driven_by(np.asarray(at["ratio"] / (1.0 - r**2 + 2j * at["damping"] * r), np.complex128))
         return motion.with_force(motion.up[:, :, None] * upward)

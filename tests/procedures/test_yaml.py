@@ -93,10 +93,11 @@ def test_a_dry_run_lists_every_step_and_starts_nothing(tmp_path: Path) -> None:
 def test_the_dry_run_in_words_has_a_line_for_every_step(tmp_path: Path) -> None:
     done = rig(tmp_path / "runs", "run", "sweep_x.yaml", "--dry-run")
     assert done.returncode == 0, done.stderr
-    head, *steps, tail = done.stdout.splitlines()
+    head, *steps, nothing, tail = done.stdout.splitlines()
     assert head.startswith("Accelerometer sweep, x: 55 steps, 48 points, about ")
     assert len(steps) == 55
-    assert tail.startswith("nothing was moved; next:")
+    assert nothing.startswith("nothing was moved")
+    assert tail.startswith("next: rig run ")
     assert any("20 Hz full" in line and "0.129 g" in line and "80.00 µm" in line for line in steps)
 
 

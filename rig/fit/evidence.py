@@ -48,9 +48,8 @@ def evidence_of(runs: Sequence[Recorded]) -> Evidence:
     found = reading.read(runs)
     if not found.parts:
         names = ", ".join(run.name for run in runs)
-        raise BadInput(
-            f"{names}: found no sines, no turning platter and no poses, wanted a sweep, a turntable run or a tumble"
-        )
+        wanted = "wanted a sweep, a turntable run, a tumble or a record at rest"
+        raise BadInput(f"{names}: found nothing that a model can be compared with, {wanted}")
     header = runs[0].header
     return Evidence(
         found.parts, found.known, tuple(run.name for run in runs), str(header["sensor"]["serial"]),

@@ -1,4 +1,4 @@
-"""A tumble on the rig's own bench is a part of a fit: its poses judge every triad by gravity."""
+"""Tumbles and records at rest on the rig's own bench are parts of a fit: gravity judges triads, rest the gyros."""
 
 from __future__ import annotations
 
@@ -53,3 +53,20 @@ def test_few_poses_are_compared_and_said_to_be_few(poses: int) -> None:
     evidence = tumbled(poses=poses)
     assert adequacy.adequate(evidence.fitted())
     assert any("attitudes are fewer" in said for said in evidence.blind) == (poses < 9)
+
+
+def test_a_record_at_rest_tells_the_zero_output_of_the_gyros_and_leaves_nothing_but_noise() -> None:
+    evidence = evidence_of([fast_bench.measure({"procedure": "noise", "length": "60 s"}, fast_bench.world(3, []))])
+    (part,) = evidence.parts
+    assert all(part.channels.rates)
+    fit = evidence.fitted()
+    assert adequacy.adequate(fit)
+    assert fit.state.zero[0] == pytest.approx(2.5, abs=0.1)
+    assert any("nobody says how the cube lay" in note for note in evidence.notes)
+
+
+def test_a_zero_that_follows_the_temperature_is_seen_at_rest() -> None:
+    hidden = {"name": "temperature_bias", "parameters": {"quantity": "rate", "coefficient": 0.02}}
+    run = fast_bench.measure({"procedure": "noise", "length": "600 s"}, fast_bench.world(3, [hidden]))
+    found = diagnose(evidence_of([run]))
+    assert {"temperature_bias", "warm_up"} & {one.name for step in found.steps for one in step.members}

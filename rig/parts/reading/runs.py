@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rig.archive.records import Recorded
 from rig.foreign.tables import foreign_of, is_foreign
-from rig.parts.reading import imported, sweep, tumble, turntable
+from rig.parts.reading import imported, still, sweep, tumble, turntable
 from rig.parts.reading.reading import Reading
 
 Reader = Callable[[Sequence[Recorded]], Reading]
-READERS: tuple[Reader, ...] = (sweep.read, turntable.read, tumble.read, imported.read)
+READERS: tuple[Reader, ...] = (sweep.read, turntable.read, tumble.read, still.read, imported.read)
 """Each takes of the runs what it can read. A new kind of experiment adds one here, or to `imported.KINDS`."""
 
 

@@ -39,7 +39,7 @@ def read(runs: Sequence[Recorded]) -> Reading:
 
 def tumbled(records: Recorded, number: int = 0) -> Iterator[PoseRecords]:
     """Each unit of the sensor in all poses. Raises BadInput for a channel that shows one number throughout."""
-    found = [_windows(signals(records.samples(str(b["samples"])))) for _, b in poses_of(records) if "samples" in b]
+    found = [windows(signals(records.samples(str(b["samples"])))) for _, b in poses_of(records) if "samples" in b]
     if not found:
         return
     channels = channels_of(records, found[0].names)
@@ -50,16 +50,16 @@ def tumbled(records: Recorded, number: int = 0) -> Iterator[PoseRecords]:
         rows = np.flatnonzero([one == unit for one in channels.unit])
         used, notes = _used(channels, rows)
         if len(used):
-            whole = _whole(records, found, channels.only(used))
+            whole = whole_of(records, found, channels.only(used))
             yield whole.posed(
                 f"{records.name}#poses {number} {channels.titles[rows[0]]}", intervals, (gravity.value, gravity.u),
                 [said, *notes],
             )  # fmt: skip
 
 
-def _windows(found: Signals) -> Signals:
-    """A record as means of some scans each."""
-    size = max(1, min(WINDOW, len(found.instants) // FEWEST))
+def windows(found: Signals, fewest: int = FEWEST) -> Signals:
+    """A record as means of some scans each, at least so many."""
+    size = max(1, min(WINDOW, len(found.instants) // fewest))
     whole = len(found.instants) // size * size
     volts = found.volts[:whole].reshape(-1, size, found.volts.shape[1]).mean(axis=1)
     return replace(found, instants=found.instants[:whole].reshape(-1, size).mean(axis=1), volts=volts)
@@ -80,7 +80,8 @@ def _used(channels: Channels, rows: Indices) -> tuple[Indices, list[str]]:
     return rows[channels.rates[rows]], [f"poses: {names} {'is' if len(felt) == 1 else 'are'} no triad, left out there"]
 
 
-def _whole(records: Recorded, found: Sequence[Signals], channels: Channels) -> Whole:
+def whole_of(records: Recorded, found: Sequence[Signals], channels: Channels) -> Whole:
+    """Records one after the other, with the zero outputs that they show."""
     numbers = np.concatenate([one.volts[:, [one.names.index(n) for n in channels.names]] for one in found]).T
     time = np.concatenate([one.start + one.instants for one in found])
     conditions = {name: _condition(found, name, scale) for name, scale in LOGGED.items()}

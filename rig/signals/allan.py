@@ -164,7 +164,7 @@ def _kind(means: Array) -> int:
 
 
 def _limits(deviation: Array, edf: Array, confidence: float) -> tuple[Array, Array]:
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
-    upper, lower = chi2.ppf((1 + confidence) / 2, edf), chi2.ppf((1 - confidence) / 2, edf)
+    upper, lower = chdtri(edf, (1 - confidence) / 2), chdtri(edf, (1 + confidence) / 2)
     return deviation * np.sqrt(edf / upper), deviation * np.sqrt(edf / lower)

@@ -8,14 +8,14 @@ least squares on
 so a positive phase of C leads, and instants count from the same zero for every channel that is to be compared. A
 channel that the multiplexer reads late brings its own late instants; nothing is resampled.
 
-In white noise the covariance of a fit is that of least squares. Noise of a sensor is not white: `line_variance` takes
+In white noise the covariance of a fit is that of least squares. Noise of a sensor is not white: `line_variances` takes
 the density of what the fit leaves over in the neighbourhood of each harmonic, which is what the amplitude there feels.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -142,33 +142,31 @@ def residual(tone: Tone, instants: NDArray[np.float64], values: NDArray[np.float
     return np.asarray(values - total - tone.drift * (instants - instants.mean()), np.float64)
 
 
-@dataclass(frozen=True)
-class LineVariance:
-    """Variance of the real (and of the imaginary) part of C_k, and the degrees of freedom it was estimated with."""
+def line_variances(
+    left: NDArray[np.float64], rate: float, frequency: float, harmonics: Sequence[int], share: float = 0.3,
+    lines: int = 12,
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:  # fmt: skip
+    """Variance of each part of C_k of every channel in coloured noise, (harmonics, c), and its degrees of freedom.
 
-    variance: float
-    dof: float
-
-
-def line_variance(
-    left: NDArray[np.float64], rate: float, frequency: float, harmonic: int = 1, share: float = 0.3, lines: int = 12
-) -> LineVariance:
-    """Variance of each part of C_harmonic in coloured noise, from evenly spaced residuals `left`, shape (n,).
+    `left` (n, c) are evenly spaced residuals.
 
     var = S(k·f)/T with the one-sided density S of the residual, averaged over the lines within `share` of the frequency
     (at least `lines` on either side); lines next to a harmonic are left out: the fit has emptied them.
     """
     count = len(left)
     resolution = rate / count
-    power = np.abs(np.fft.rfft(left)) ** 2 * (2.0 / (count * rate))
-    centre = frequency * harmonic / resolution
-    reach = max(share * centre, lines + 2.0)
-    low, high = max(1, math.ceil(centre - reach)), min(len(power) - 1, math.floor(centre + reach))
-    index = np.arange(low, high + 1)
-    order = index * resolution / frequency
-    usable = np.abs(order - np.round(order)) * frequency > 1.5 * resolution
-    chosen = power[index[usable]] if usable.any() else power[1:]
-    return LineVariance(float(chosen.mean()) * rate / count, 2.0 * len(chosen))
+    power = np.abs(np.fft.rfft(left, axis=0)) ** 2 * (2.0 / (count * rate))
+    order = np.arange(len(power)) * resolution / frequency
+    free = np.abs(order - np.round(order)) * frequency > 1.5 * resolution
+    found, dofs = np.empty((len(harmonics), left.shape[1])), []
+    for row, harmonic in enumerate(harmonics):
+        centre = frequency * harmonic / resolution
+        reach = max(share * centre, lines + 2.0)
+        near = slice(max(1, math.ceil(centre - reach)), min(len(power) - 1, math.floor(centre + reach)) + 1)
+        chosen = power[near][free[near]] if free[near].any() else power[1:]
+        found[row] = chosen.mean(axis=0) * rate / count
+        dofs.append(2.0 * len(chosen))
+    return found, tuple(dofs)
 
 
 def ratio(numerator: Tone, denominator: Tone, harmonic: int = 1) -> complex:

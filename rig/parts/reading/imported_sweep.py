@@ -37,7 +37,7 @@ PEAK = 10.0  # amplitude of the driven line over the median line in that band
 SHORTEST = 5.0  # cycles
 EVEN = 0.1  # of the interval: how far a time stamp may lie from even spacing
 COHERENT = 0.9  # coherence² above which the lines between give the ratio of device and reference
-SHARE, LINES_BESIDE = 0.3, 12  # neighbourhood of a line, as in `tone.line_variance`
+SHARE, LINES_BESIDE = 0.3, 12  # neighbourhood of a line, as in `tone.line_variances`
 OF_DEVICE = ("acceleration", "rate", "unstated", "voltage")
 OF_REFERENCE = ("acceleration", "unstated", "voltage")
 

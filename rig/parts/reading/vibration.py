@@ -220,17 +220,17 @@ def _lines(found: Signals, frequency: float) -> tuple[dict[str, Line], NDArray[n
     left = found.volts - design @ solution
     order = np.arange(1, harmonics + 1)
     dof = design.shape[0] - design.shape[1]
+    variances, dofs = tone.line_variances(left, found.rate, frequency, range(1, harmonics + 1))
     lines = {}
     for column, name in enumerate(found.names):
         turn = np.exp(-2j * math.pi * frequency * order * found.skew[column])
         parts = solution[: 2 * harmonics, column]
-        variances = [tone.line_variance(left[:, column], found.rate, frequency, int(k)) for k in order]
         lines[name] = Line(
             amplitudes=_filled((parts[0::2] + 1j * parts[1::2]) * turn),
-            variance=_filled(np.array([one.variance for one in variances])),
+            variance=_filled(variances[:, column]),
             mean=float(solution[2 * harmonics, column]),
             residual_rms=float(np.sqrt(np.sum(left[:, column] ** 2) / dof)),
-            dof=variances[0].dof,
+            dof=dofs[0],
             step=found.step,
             flags=(f"clipped ({found.clipped[name]} samples)",) if found.clipped.get(name) else (),
         )

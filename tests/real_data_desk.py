@@ -95,7 +95,7 @@ class Rung:
 
 def rung(desk: Desk, name: str, *words: str) -> Rung:
     """Compare the model as it is now."""
-    found = desk.asked("compare", "last", *words)
+    found = desk.asked("compare", "last", "--png", *words)
     png = next((Path(one).read_bytes() for one in found["figures"] if one.endswith(".png")), b"")
     worst = [one["in_words"] for one in found["worst"] if "nothing stands out" not in one["in_words"]]
     return Rung(name, found["groups"], worst, png)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -115,13 +116,21 @@ def test_one_level_only_is_said(runs: Path) -> None:
 
 
 def test_comparing_shows_where_the_model_fails_and_draws_it(runs: Path, first_run: str) -> None:
-    found = asked(runs, "compare", first_run, "--model", str(runs / "none.yaml"))
+    found = asked(runs, "compare", first_run, "--model", str(runs / "none.yaml"), "--png")
     assert set(found) == {"groups", "worst", "figures"}
     assert found["groups"]
     assert 1 <= len(found["worst"]) <= 3
     assert all(Path(path).read_bytes() for path in found["figures"])
     assert {Path(path).suffix for path in found["figures"]} == {".svg", ".png"}
     assert {Path(path).parent for path in found["figures"]} == {runs / "reports" / first_run}
+
+
+def test_comparing_draws_only_what_is_asked_and_says_how_to_ask(runs: Path, first_run: str) -> None:
+    words = ("compare", first_run, "--model", str(runs / "none.yaml"))
+    assert asked(runs, *words)["figures"] == []
+    (asking,) = re.findall(r"^figures: rig (.*)$", said(runs, *words), re.MULTILINE)
+    assert "--figures" in asking
+    assert {Path(path).suffix for path in asked(runs, *words, "--figures")["figures"]} == {".svg"}
 
 
 @pytest.fixture(scope="module")

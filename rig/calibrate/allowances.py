@@ -25,9 +25,9 @@ class Misfit:
 
 def misfit(chi2: float, dof: int, what: str) -> Misfit:
     """Widened by √(χ²/dof) if the data miss `what` by more than chance allows."""
-    from scipy.stats import chi2 as distribution
+    from scipy.special import chdtrc
 
-    if float(distribution.sf(chi2, dof)) >= UNLIKELY:
+    if float(chdtrc(dof, chi2)) >= UNLIKELY:
         return Misfit(1.0)
     factor = math.sqrt(chi2 / dof)
     return Misfit(

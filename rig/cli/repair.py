@@ -87,33 +87,44 @@ def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, eff
 @click.command(short_help="Error against noise, and where a model fails.")
 @RUN_NAMES
 @click.option("--as-is", is_flag=True, help="Hold the model's values: does it predict runs that it was not fitted to?")
+@click.option("--figures", is_flag=True, help="Draw what is left over, as SVG.")
+@click.option("--png", is_flag=True, help="Draw it as PNG too.")
 @model_options()
 def compare(
-    names: tuple[str, ...], as_is: bool, model: Path | None, start: str | None, effects: Path | None, runs: Path,
-    as_json: bool,
+    names: tuple[str, ...], as_is: bool, figures: bool, png: bool, model: Path | None, start: str | None,
+    effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Fit the model to runs and compare its error with the noise measured independently; 1 is noise and nothing else.
 
     RUN is a run's name, `last`, or `all` for every completed run in the folder. Without a model file the data sheet's
-    model is compared. Figures go to reports/<first run>/ under the runs folder.
+    model is compared. Figures that are asked for go to reports/<first run>/ under the runs folder.
     """
-    from rig.report.misfit_figures import draw
-
     work = opened(names, runs, model, start, effects)
     if as_is:
         _predict(work, as_json)
         return
     found = _compared(work, work.model)
-    figures = draw(work.bench.evidence, found.fit, work.figures)
+    drawn = _drawn(work, found, (*(("svg",) if figures or png else ()), *(("png",) if png else ())))
     if as_json:
-        print_json(found.as_json(figures))
+        print_json(found.as_json(drawn))
         return
     notes = _notes_text(work)
     said = [*groups_text(found.groups), *worst_text(found.worst), *notes]
     click.echo("\n".join([_title("compare", work), *said]))
-    for path in figures:
+    for path in drawn:
         click.echo(f"figure: {path}")
+    if not drawn:
+        click.echo(f"figures: {command('compare', *names, '--figures')}")
     say_next(command("diagnose", *names))
+
+
+def _drawn(work: Opened, found: Comparison, kinds: Sequence[str]) -> list[Path]:
+    """Figures of these kinds; none asked, none drawn: that takes as long as all the rest."""
+    if not kinds:
+        return []
+    from rig.report.misfit_figures import draw
+
+    return draw(work.bench.evidence, found.fit, work.figures, kinds)
 
 
 def _predict(work: Opened, as_json: bool) -> None:

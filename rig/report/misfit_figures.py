@@ -48,8 +48,8 @@ DRAWINGS: Mapping[str, Drawing] = {
 """By the noun that a part gives; "" is drawn nowhere."""
 
 
-def draw(evidence: Evidence, fit: Fit, folder: Path) -> list[Path]:
-    """The figures of every part of a fit, SVG and PNG; the paths, in `folder`."""
+def draw(evidence: Evidence, fit: Fit, folder: Path, kinds: Sequence[str] = ("svg",)) -> list[Path]:
+    """The figures of every part of a fit, each as SVG or PNG or both; the paths, in `folder`."""
     worst = conditions(fit, tables(fit))
     numbers: dict[str, list[int]] = {}
     for number, part in enumerate(fit.parts):
@@ -58,7 +58,7 @@ def draw(evidence: Evidence, fit: Fit, folder: Path) -> list[Path]:
     for noun in (one for one in DRAWINGS if one in numbers):
         for stem, figure in DRAWINGS[noun](fit, numbers[noun], worst):
             figures[_named(stem, figures)] = figure
-    return _saved(figures, folder, evidence.simulated)
+    return _saved(figures, folder, evidence.simulated, kinds)
 
 
 def _named(stem: str, there: dict[str, Figure]) -> str:
@@ -67,7 +67,7 @@ def _named(stem: str, there: dict[str, Figure]) -> str:
 
 
 def _laid_out(figure: Figure) -> None:
-    """Once for both files: most of the time of a drawing is its layout."""
+    """Once for all files: most of the time of a drawing is its layout."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
@@ -76,7 +76,7 @@ def _laid_out(figure: Figure) -> None:
     figure.set_layout_engine("none")
 
 
-def _saved(figures: dict[str, Figure], folder: Path, simulated: bool) -> list[Path]:
+def _saved(figures: dict[str, Figure], folder: Path, simulated: bool, kinds: Sequence[str]) -> list[Path]:
     from matplotlib import rc_context
 
     paths = []
@@ -85,7 +85,7 @@ def _saved(figures: dict[str, Figure], folder: Path, simulated: bool) -> list[Pa
         _laid_out(figure)
         if simulated:
             figure.text(0.995, 0.005, "SIMULATED", ha="right", va="bottom", color="#b00020", fontsize=9, weight="bold")
-        for kind in ("svg", "png"):
+        for kind in kinds:
             path = folder / f"{name}.{kind}"
             with rc_context({"svg.hashsalt": name}):
                 figure.savefig(path, dpi=120, metadata={"Date": None} if kind == "svg" else None)

@@ -271,7 +271,7 @@ def test_a_record_of_gyros_alone_has_no_panel_of_gravity() -> None:
 
 def test_every_kind_of_part_has_its_figure_and_tables_share_one(turned: TrackedMotion, tmp_path: Path) -> None:
     made = evidence(table(tmp_path, run="a"), turned, table(tmp_path, run="b"), turns_and_poses())
-    paths = draw(made, made.fitted(), tmp_path / "figures")
+    paths = draw(made, made.fitted(), tmp_path / "figures", ("svg", "png"))
     stems = ["misfit_rotation", "misfit_poses", "misfit_response"]
     assert [path.name for path in paths] == [f"{stem}.{kind}" for stem in stems for kind in ("svg", "png")]
     texts = {path.stem: path.read_text(encoding="utf-8") for path in paths if path.suffix == ".svg"}
@@ -282,7 +282,7 @@ def test_every_kind_of_part_has_its_figure_and_tables_share_one(turned: TrackedM
 
 def test_an_imported_sweep_at_one_frequency_is_drawn_over_its_level(tmp_path: Path) -> None:
     made = evidence(*parts_of(imported_sweeps.made())[0])
-    svg, _ = draw(made, made.fitted(), tmp_path)
+    (svg,) = draw(made, made.fitted(), tmp_path)
     assert svg.name == "misfit_shaker.svg"
     text = svg.read_text(encoding="utf-8")
     assert "<!-- amplitude of the reference at 5.17 Hz / (m/s²) -->" in text

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from rig.model import Local, Quantity, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts import platter_laws, platter_options, platter_signs
+from rig.parts.conditions import filled, logged
 from rig.parts.formulas import OF_PLATTER
 from rig.parts.laws import scored
 from rig.parts.part import ALLOWANCE, Option, Part
 from rig.parts.platter_cuts import Rows
 from rig.parts.platter_records import PlatterRecords
-from rig.parts.reading.conditions import filled, logged
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 

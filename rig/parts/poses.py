@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from rig.errors import BadInput
 from rig.model import Channels, Local, Term, volts
 from rig.motion import Array, Motion, Response
+from rig.parts.conditions import filled, logged
 from rig.parts.part import STEP, Part
-from rig.parts.reading.conditions import filled, logged
 from rig.parts.remainder import Cut, Indices, Mask
 
 GRAVITY = "gravity"

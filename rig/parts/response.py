@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from rig.errors import BadInput
 from rig.model import Channels, Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
+from rig.parts.conditions import NOMINAL
 from rig.parts.formulas import OF_SHAKER
 from rig.parts.part import Part
-from rig.parts.reading.conditions import NOMINAL
 from rig.parts.remainder import Cut, Mask
 
 CLOSE = 1e-6  # relative: one frequency

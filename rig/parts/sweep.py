@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from rig.model import Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts import sweep_cuts, sweep_laws, sweep_options, sweep_signs
+from rig.parts.conditions import filled, logged
 from rig.parts.formulas import OF_SHAKER
 from rig.parts.part import Option, Part
-from rig.parts.reading.conditions import filled, logged
 from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.parts.ripple import Floor, said

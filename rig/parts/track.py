@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from rig.errors import BadInput
 from rig.model import Channels, Local, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
+from rig.parts.conditions import filled, logged
 from rig.parts.part import Part
-from rig.parts.reading.conditions import filled, logged
 from rig.parts.reference_motion import REMEMBERED, Shown, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Mask
 

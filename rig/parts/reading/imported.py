@@ -13,9 +13,9 @@ from rig.errors import BadInput
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
-from rig.parts import nuisances
 from rig.parts.part import Part
 from rig.parts.poses import Poses
+from rig.parts.reading import nuisances
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.motion import motions, rotations
 from rig.parts.reading.poses import posed

@@ -14,7 +14,7 @@ from rig.errors import BadInput
 from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
-from rig.parts.reading.conditions import smoothed
+from rig.parts.conditions import smoothed
 from rig.parts.reading.poses import signed
 from rig.parts.reading.shared_lines import shared_lines
 from rig.parts.reference_motion import Shown

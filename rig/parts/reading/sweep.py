@@ -14,10 +14,10 @@ from rig import units
 from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics, wires_of
 from rig.foreign.tables import is_foreign
 from rig.motion import ORDERS
-from rig.parts import nuisances
 from rig.parts.channels import channels_of
+from rig.parts.conditions import smoothed
 from rig.parts.ranges import beyond_range
-from rig.parts.reading.conditions import smoothed
+from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
 from rig.parts.sweep import Sweep

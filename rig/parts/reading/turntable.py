@@ -15,12 +15,12 @@ from rig.archive.records import Recorded, experiments, mounts, reference, wires_
 from rig.errors import BadInput
 from rig.foreign.tables import is_foreign
 from rig.model import Channels
-from rig.parts import nuisances
 from rig.parts.channels import channels_of
+from rig.parts.conditions import smoothed
 from rig.parts.platter import HIGHEST_RATE, Platter
 from rig.parts.platter_records import PlatterRecords, stretches_of
 from rig.parts.ranges import beyond_range
-from rig.parts.reading.conditions import smoothed
+from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.revolutions import SLOWEST, mount_of
 from rig.parts.reference_motion import Shown

@@ -112,7 +112,7 @@ def calibrate(
         flags=tuple(dict.fromkeys([*unfitted, *bench.flags(), *shaken.flags(), *turned.flags(), *said])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
-        model="" if assumed is None else assumed.words,
+        model="" if assumed is None else assumed.said,
     )
 
 

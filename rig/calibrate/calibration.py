@@ -46,6 +46,11 @@ class Check:
         """|Δ| ≤ 2·u(Δ)."""
         return abs(self.delta) <= 2.0 * self.u_delta
 
+    @property
+    def away(self) -> float:
+        """|Δ|/u(Δ)."""
+        return abs(self.delta) / self.u_delta
+
 
 @dataclass(frozen=True)
 class Result:
@@ -228,6 +233,19 @@ class Calibration:
     def under_test(self) -> Sensor:
         """The unit as its sensor file states it; of a calibration from before it was kept, as its results name it."""
         return Sensor.stated(self.unit) if self.unit else _named(self)
+
+    @property
+    def agreement(self) -> str:
+        """How many values another estimator confirms from the same records, and the furthest; "" without any."""
+        checked = [(r, r.check) for r in self.results if r.check is not None]
+        if not checked:
+            return ""
+        agreeing = sum(check.agrees for _, check in checked)
+        result, check = max(checked, key=lambda one: one[1].away)
+        return (
+            f"{agreeing} of {len(checked)} direct estimates agree; the furthest, of {result.key}, lies "
+            f"{check.away:.1f} standard uncertainties of the difference away (2 at most)"
+        )
 
     def result(self, key: str) -> Result:
         """One result; raises BadInput if there is none of that key."""

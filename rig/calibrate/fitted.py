@@ -31,7 +31,11 @@ WHOLE = 1.0 - 1e-6  # share of a parameter that the data must see
 
 @dataclass(frozen=True)
 class Assumed:
-    """The model that a calibration stands on: effects beside the data sheet's, and where they were written down."""
+    """The model that a calibration stands on: effects beside the data sheet's, and where they were written down.
+
+    `poles`: channels have output filters. `shared`: all of a quantity have one sensitivity. `name` is the model's file
+    and `digest` its SHA-256, "" for the plain data sheet.
+    """
 
     terms: tuple[Term, ...] = ()
     poles: bool = True
@@ -41,8 +45,15 @@ class Assumed:
 
     @property
     def words(self) -> str:
-        """`data sheet`, or with what it has beside that."""
-        return " + ".join(["data sheet", *(term.key for term in self.terms)])
+        """`data sheet`, or with what it has beside that or lacks of it."""
+        lacks = "" if self.poles else " without output filters"
+        alike = ", one sensitivity for all axes" if self.shared else ""
+        return " + ".join([f"data sheet{lacks}{alike}", *(term.key for term in self.terms)])
+
+    @property
+    def said(self) -> str:
+        """The same with its file and the file's SHA-256, if it has one."""
+        return f"{self.words} ({self.name}, SHA-256 {self.digest})" if self.name else self.words
 
 
 @dataclass(frozen=True)

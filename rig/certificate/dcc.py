@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 from rig.archive.durable import write_whole
@@ -35,6 +37,9 @@ UNITS = {
     "1/(rad/s)²": r"\radian\tothe{-2}\second\tothe{2}",
     "°C": r"\degreecelsius",
 }
+NAMES = {"m": "metre", "s": "second", "rad": "radian", "V": "volt", "Hz": "hertz", "K": "kelvin"}
+POWERS = {"": Fraction(1), "²": Fraction(2), "³": Fraction(3)}
+FACTOR = re.compile(r"([/·]?)(?:(√?[A-Za-z1]+)|\(([^()]*)\))([²³]?)")
 CONDITIONS = {"temperature": ("°C", "basic_temperature"), "supply": ("V", "basic_supplyVoltage")}
 
 
@@ -120,6 +125,10 @@ def _contact(contact: ET.Element, name: str) -> None:
 def _statements(parent: ET.Element, words: Document) -> None:
     for name, text in (("Uncertainty", COVERAGE), ("Decision rule", DECISION)):
         _statement(parent, name, text)
+    if words.model:
+        _statement(parent, "Model", f"The values stand on a model fitted to the records: {words.model}.")
+    if words.agreement:
+        _statement(parent, "Direct estimates beside the fit", f"{words.agreement}.")
     for warning in words.warnings:
         _statement(parent, "SIMULATED" if warning.startswith("SIMULATED") else "Warning", warning)
     for remark in words.remarks:
@@ -266,6 +275,29 @@ def _number(value: float, where: str) -> str:
 
 
 def _unit(unit: str) -> str:
-    if unit not in UNITS:
-        raise BadInput(f"digital certificate: found the unit '{unit}', wanted one of {', '.join(UNITS)}")
-    return UNITS[unit]
+    if unit in UNITS:
+        return UNITS[unit]
+    powers: dict[str, Fraction] = {}
+    if not _count(unit, Fraction(1), powers):
+        wanted = f"a product of powers of {', '.join(NAMES)}"
+        raise BadInput(f"digital certificate: found the unit '{unit}', wanted {wanted}")
+    return "".join(_power(name, power) for name, power in powers.items() if power) or r"\one"
+
+
+def _power(name: str, power: Fraction) -> str:
+    return rf"\{name}" if power == 1 else rf"\{name}\tothe{{{float(power):g}}}"
+
+
+def _count(text: str, sign: Fraction, powers: dict[str, Fraction]) -> bool:
+    """Add up the powers of a unit such as `1/(m/s²)²` or `m/s²/√s`; whether all of it was understood."""
+    for divided, name, inner, raised in FACTOR.findall(text):
+        here = sign * (-1 if divided == "/" else 1) * POWERS[raised]
+        if inner and not _count(inner, here, powers):
+            return False
+        if not inner and name != "1":
+            bare = name.removeprefix("√")
+            if bare not in NAMES:
+                return False
+            half = Fraction(1, 2) if name != bare else Fraction(1)
+            powers[NAMES[bare]] = powers.get(NAMES[bare], Fraction(0)) + here * half
+    return not FACTOR.sub("", text)

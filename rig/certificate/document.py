@@ -38,6 +38,8 @@ class Document:
     begun: str
     ended: str
     simulated: bool
+    model: str
+    agreement: str
     methods: tuple[str, ...]
     conditions: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
@@ -61,6 +63,8 @@ def document(calibration: Calibration) -> Document:
         begun=_date(min(starts)),
         ended=_date(calibration.made),
         simulated=calibration.simulated,
+        model=flat(calibration.model),
+        agreement=calibration.agreement,
         methods=tuple(dict.fromkeys(r.method for r in calibration.results if r.method)),
         conditions=tuple(_conditions(calibration)),
         warnings=tuple(_warnings(calibration)),
@@ -76,7 +80,7 @@ def identifier(calibration: Calibration) -> str:
         calibration.name, calibration.sensor, calibration.serial, calibration.made, calibration.simulated,
         [(s.run, s.digest) for s in calibration.sources],
         [(r.key, r.value, r.u, r.verdict, r.remarks) for r in calibration.results],
-        calibration.overdue, calibration.flags,
+        calibration.overdue, calibration.flags, calibration.model,
     )  # fmt: skip
     return f"{calibration.name}-{hashlib.sha256(repr(content).encode('utf-8', 'replace')).hexdigest()[:12]}"
 

@@ -10,13 +10,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli.onward import Carried, command, completed, say_next
-from rig.cli.options import json_option, print_json, runs_option
+from rig.cli.options import effects_option, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
     from rig.archive.records import Records
     from rig.calibrate.calibration import Calibration, Result
+    from rig.calibrate.fitted import Assumed
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
+MODEL = click.option(
+    "--model", cls=Carried, metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Model that the values stand on; `none` is the data sheet alone "
+    "[default: models/<serial>.yaml of the runs folder if there is one].",
+)  # fmt: skip
+NO_MODEL = Path("none")
 NAME = click.option("--name", cls=Carried, help="Name of the calibration [default: the unit's serial and the day].")
 FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python", "c")
 
@@ -25,9 +32,14 @@ FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python", "c")
 @RUN_NAMES
 @NAME
 @click.option("--monte-carlo", is_flag=True, help="Check the budgets of sensitivities by GUM Supplement 1.")
+@MODEL
+@effects_option
 @runs_option
 @json_option
-def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs: Path, as_json: bool) -> None:
+def calibrate(
+    names: tuple[str, ...], name: str | None, monte_carlo: bool, model: Path | None, effects: Path | None, runs: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Merge runs of one unit (axes, remounts, both senses, tumbles, records at rest) into one calibration.
 
     RUN is a run's name, `last`, or `all` for every completed run in the folder. The calibration is written to
@@ -35,7 +47,7 @@ def calibrate(names: tuple[str, ...], name: str | None, monte_carlo: bool, runs:
     """
     from rig.calibrate.calibration import path_of, save
 
-    made, _ = _calibrated(names, runs, name)
+    made, _ = _calibrated(names, runs, name, model, effects)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     save(made, path)
@@ -77,9 +89,14 @@ def _interval_text(one: dict[str, Any]) -> str:
 @RUN_NAMES
 @NAME
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
+@MODEL
+@effects_option
 @runs_option
 @json_option
-def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Path, as_json: bool) -> None:
+def certify(
+    names: tuple[str, ...], name: str | None, out: Path | None, model: Path | None, effects: Path | None, runs: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Calibrate from runs and write the certificate as PDF and as digital calibration certificate (DCC 3.2.1).
 
     Exit code 3 if a value does not keep its limits; both documents are written all the same.
@@ -89,7 +106,7 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
     from rig.certificate.pdf import write_pdf
     from rig.report.run_figures import svg_of_response
 
-    made, _ = _calibrated(names, runs, name)
+    made, _ = _calibrated(names, runs, name, model, effects)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = out or runs / "reports" / made.name
@@ -129,19 +146,13 @@ def certify(names: tuple[str, ...], name: str | None, out: Path | None, runs: Pa
     help="A Kalibr value that no record determined; marked.",
 )
 @click.option(
-    "--model", cls=Carried, type=click.Path(dir_okay=False, path_type=Path), help="Model file to write (python, c)."
+    "--model", "written_model", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write (python, c)."
 )
 @click.option(
     "--channel", "channels", cls=Carried, multiple=True, metavar="NAME", help="Only these channels of the model."
 )
 @click.option("--single", is_flag=True, help="Floats instead of doubles (c).")
-@click.option(
-    "--effects",
-    cls=Carried,
-    type=click.Path(file_okay=False, path_type=Path),
-    envvar="RIG_EFFECTS",
-    help="Folder with effects of your own (or RIG_EFFECTS).",
-)
+@effects_option
 @runs_option
 @json_option
 def export(
@@ -153,7 +164,7 @@ def export(
     rate: float | None,
     topic: str,
     assume: tuple[str, ...],
-    model: Path | None,
+    written_model: Path | None,
     channels: tuple[str, ...],
     single: bool,
     effects: Path | None,
@@ -171,8 +182,8 @@ def export(
     from rig.errors import BadInput
     from rig.export import write
 
-    if model is not None or format == "c":
-        path = model or _model_of(name, runs)
+    if written_model is not None or format == "c":
+        path = written_model or _model_of(name, runs)
         _export_model(path, format, out or runs / "reports" / path.stem, rate, channels, single, effects, as_json)
         return
     if name is None:
@@ -241,13 +252,18 @@ def _assumed(given: Sequence[str]) -> dict[str, float]:
 @RUN_NAMES
 @NAME
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="File [default: reports/<name>.html].")
+@MODEL
+@effects_option
 @runs_option
 @json_option
-def report(names: tuple[str, ...], name: str | None, out: Path | None, runs: Path, as_json: bool) -> None:
+def report(
+    names: tuple[str, ...], name: str | None, out: Path | None, model: Path | None, effects: Path | None, runs: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Draw Tables I and II and figures 4, 5, 7, 8 and 9 of the paper, budgets and responses: one HTML file."""
     from rig.report import write_report
 
-    made, records = _calibrated(names, runs, name)
+    made, records = _calibrated(names, runs, name, model, effects)
     path = out or runs / "reports" / f"{made.name}.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_report(made, records, path)
@@ -307,8 +323,10 @@ def _with_another(path: Path) -> list[str]:
     return [command("compare-calibrations", others[-1].stem, path.stem)] if others else []
 
 
-def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Calibration, list[Records]]:
-    """Calibrate from the named runs; a name that is taken gets a number."""
+def _calibrated(
+    names: Sequence[str], runs: Path, name: str | None, model: Path | None, effects: Path | None
+) -> tuple[Calibration, list[Records]]:
+    """Calibrate from the named runs by a model; a name that is taken gets a number."""
     import datetime as dt
     from dataclasses import replace
 
@@ -324,7 +342,10 @@ def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Cal
         names = [run.name for run in archive.list() if run.status == "completed"] or ["last"]
     opened = [Records(archive.open(one)) for one in dict.fromkeys(names)]
     seals = {r.name: r.run.path / SEAL for r in opened}
-    made = merged(opened, "unnamed", {n: digest_of(s.read_bytes()) for n, s in seals.items() if s.exists()})
+    digests = {n: digest_of(s.read_bytes()) for n, s in seals.items() if s.exists()}
+    made = merged(
+        opened, "unnamed", digests, _standing_on(str(opened[0].header["sensor"]["serial"]), runs, model, effects)
+    )
     day = dt.datetime.fromtimestamp(made.made, dt.UTC).date()
     serial = "".join(c if c.isalnum() or c in "-_." else "-" for c in made.serial).lstrip(".") or "unit"
     wanted = name or f"{serial}-{day}"
@@ -333,6 +354,25 @@ def _calibrated(names: Sequence[str], runs: Path, name: str | None) -> tuple[Cal
         number += 1
         free = f"{wanted}-{number}"
     return replace(made, name=free), opened
+
+
+def _standing_on(serial: str, runs: Path, model: Path | None, effects: Path | None) -> Assumed:
+    """The model of the file that is meant; the data sheet's without one. Raises BadInput for another unit's."""
+    from rig.calibrate.calibrate import digest_of
+    from rig.calibrate.fitted import Assumed
+    from rig.errors import BadInput
+    from rig.repair.model_file import load, path_of, terms_of
+    from rig.shelf import shelf
+
+    path = model or path_of(runs, serial)
+    if model == NO_MODEL or (model is None and not path.exists()):
+        return Assumed()
+    on_shelf = shelf(effects)
+    found = load(path, on_shelf)
+    if found.unit != serial:
+        raise BadInput(f"{path}: found a model of {found.unit}, wanted one of {serial}")
+    terms = tuple(terms_of(found, on_shelf))
+    return Assumed(terms, found.poles, found.shared, path.name, digest_of(path.read_bytes()))
 
 
 SHOWN_FIRST = (
@@ -350,13 +390,15 @@ def text_of(made: Calibration) -> list[str]:
     from rig.calibrate.calibration import text
 
     mark = "  SIMULATED" if made.simulated else ""
-    lines = [f"calibration {made.name} of {made.sensor} {made.serial}{mark}", ""]
+    lines = [f"calibration {made.name} of {made.sensor} {made.serial}{mark}"]
+    lines += [*([f"model: {made.model}"] if made.model else []), ""]
     shown = [r for r in made.results if r.determined and r.measurand in SHOWN_FIRST]
     width = max((len(r.key) for r in shown), default=0)
     lines += [f"  {r.key:<{width}}  {text(r):<26} {_beside(r)}".rstrip() for r in shown]
     others = sum(r.determined for r in made.results) - len(shown)
     missing = [r for r in made.results if not r.determined]
     lines += ["", f"  U with k for 95 %; {others} more values and {len(missing)} not determined are in the file"]
+    lines += [f"  {made.agreement}"] if made.agreement else []
     lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
     lines += [f"  note: {flag}" for flag in made.flags]
     return [completed(line) for line in lines]
@@ -376,6 +418,7 @@ def _as_json(made: Calibration, path: Path) -> dict[str, Any]:
         "path": str(path),
         "serial": made.serial,
         "simulated": made.simulated,
+        "model": made.model,
         "runs": [source.run for source in made.sources],
         "results": [row_of(result) for result in made.results],
         "flags": list(made.flags),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -85,24 +85,21 @@ class Run:
 
     def points(self) -> dict[int, Mapping[str, Any]]:
         """Bodies of the points done, by index; of a point measured twice, the later."""
-        return {int(entry.body["index"]): entry.body for entry in self.lines() if entry.kind == "point"}
+        return points_of(self.lines())
 
     def blocks(self) -> dict[str, tuple[BlockRef, ...]]:
         """Blocks by name, each with its pieces in order; of a name used twice, the later."""
-        found: dict[str, tuple[BlockRef, ...]] = {}
-        for entry in self.lines():
-            if entry.kind == "block":
-                reference = BlockRef.of(entry)
-                before = found.get(reference.name, ()) if reference.piece else ()
-                found[reference.name] = (*before, reference)
-        return found
+        return blocks_of(self.lines())
 
     def block(self, name: str) -> NDArray[Any]:
         """The numbers of a block, mapped from the file (read-only); the pieces of a stream are joined in memory.
 
         Raises BadInput for an unknown name, ArchiveError if the file is missing or too short.
         """
-        references = self.blocks().get(name)
+        return self.joined(name, self.blocks().get(name, ()))
+
+    def joined(self, name: str, references: Sequence[BlockRef]) -> NDArray[Any]:
+        """The numbers of a block whose pieces are known, as `block` gives them."""
         if not references:
             raise BadInput(f"{self.name}: found no block '{name}', wanted one of the journal's")
         pieces = [self.read(reference) for reference in references]
@@ -205,6 +202,22 @@ class Run:
         if acknowledged != seal.body["blocks"]:
             problems.append(f"{SEAL}: found other blocks than in the journal, wanted the same")
         return problems
+
+
+def points_of(lines: Iterable[Entry]) -> dict[int, Mapping[str, Any]]:
+    """Bodies of the points done, by index; of a point measured twice, the later."""
+    return {int(entry.body["index"]): entry.body for entry in lines if entry.kind == "point"}
+
+
+def blocks_of(lines: Iterable[Entry]) -> dict[str, tuple[BlockRef, ...]]:
+    """Blocks by name, each with its pieces in order; of a name used twice, the later."""
+    found: dict[str, tuple[BlockRef, ...]] = {}
+    for entry in lines:
+        if entry.kind == "block":
+            reference = BlockRef.of(entry)
+            before = found.get(reference.name, ()) if reference.piece else ()
+            found[reference.name] = (*before, reference)
+    return found
 
 
 def _is_line(raw: bytes, chain: str, n: int) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.archive.journal import Entry
-from rig.archive.reader import Run
+from rig.archive.reader import Run, blocks_of, points_of
 from rig.errors import BadInput, StandardOverdue
 from rig.record import Channel, CubeSamples, Response, Samples, Timing, Wires
 
@@ -90,7 +90,8 @@ class Records:
 
     def __init__(self, run: Run) -> None:
         self.run, self.name, self.status, self.header = run, run.name, str(run.status), run.header
-        self.lines, self.points, self._blocks = list(run.lines()), run.points(), run.blocks()
+        self.lines = list(run.lines())
+        self.points, self._blocks = points_of(self.lines), blocks_of(self.lines)
 
     def samples(self, name: str) -> Samples:
         """The record behind a block name; pieces of a long record are joined. KeyError if there is none."""
@@ -112,25 +113,28 @@ class Records:
     def traces(self, name: str) -> Signals:
         """Simultaneous traces of the oscilloscope."""
         meta = self._blocks[name][0].meta
-        volts = self.run.block(name)
+        volts = self._block(name)
         instants = np.asarray(float(meta["start"]) + float(meta["interval"]) * np.arange(volts.shape[1]), np.float64)
         clipped = dict(zip(meta["names"], meta.get("clipped", ()), strict=False))
         return Signals(tuple(meta["names"]), instants, np.zeros(len(volts)), volts.T, clipped)
 
     def response(self, name: str) -> Response:
         """What the analyzer measured, behind a block name."""
-        return response_of(self.run.block(name), self._blocks[name][0].meta)
+        return response_of(self._block(name), self._blocks[name][0].meta)
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
-        return self.run.block(name), tuple(self._blocks[name][0].meta["columns"])
+        return self._block(name), tuple(self._blocks[name][0].meta["columns"])
+
+    def _block(self, name: str) -> NDArray[Any]:
+        return self.run.joined(name, self._blocks.get(name, ()))
 
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""
-        meta, frames = self._blocks[name][0].meta, self.run.block(f"{name}-frames")
+        meta, frames = self._blocks[name][0].meta, self._block(f"{name}-frames")
         return CubeSamples(
             names=tuple(meta["names"]),
-            counts=self.run.block(name),
+            counts=self._block(name),
             sequence=frames[:, 0],
             device_us=frames[:, 1],
             flags=frames[:, 2].astype(np.uint16),

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, statics
+from rig.archive.reduced import reduced
 from rig.errors import BadInput
 from rig.signals import noise, spectrum
 
@@ -84,6 +85,16 @@ def _of_record(
     records: Recorded, block: str, names: Sequence[str], poles: Mapping[str, float]
 ) -> dict[str, Resting | str]:
     """Noise of channels of one record, or why there is none."""
+    kinds = (Resting, noise.NoiseFit, noise.NoiseModel)
+    looked_for = {name: poles.get(name) for name in sorted(names)}
+    return reduced(
+        records, f"rest-{block}", kinds, lambda: _looked_at(records, block, list(looked_for), poles), looked_for
+    )  # fmt: skip
+
+
+def _looked_at(
+    records: Recorded, block: str, names: Sequence[str], poles: Mapping[str, float]
+) -> dict[str, Resting | str]:
     fed: dict[str, spectrum.Periodogram] = {}
     clipped = dict.fromkeys(names, 0)
     step = 0.0

@@ -86,7 +86,8 @@ def swept(
         source=np.interp(f, np.sort(data.frequency), data.source[np.argsort(data.frequency)]),
         scale=np.full(len(f), float(np.median(data.scale[data.scale > 0.0]))),
         temperature=np.linspace(*_range(data.temperature), len(f)) + warmer,
-        supply=np.linspace(*_range(data.supply), len(f)), directions=directions(axis), leftovers=(), notes=(),
+        supply=np.linspace(*_range(data.supply), len(f)), directions=directions(axis), leftovers=(),
+        drive_off=False, notes=(),
     )  # fmt: skip
 
 

@@ -68,6 +68,7 @@ class SweepRecords:
     directions: Array  # drive, up and side in the case frame, (3, 3), columns
     leftovers: tuple[Leftover, ...] = ()
     notes: tuple[str, ...] = ()
+    drive_off: bool = False  # and not the recorder's clock; else `leftovers` tell
     held: NDArray[np.bool_] | None = None  # (p,): points that a model is judged by; every third without
     vibrometer: bool = True  # whether the reference is one
 

@@ -56,7 +56,7 @@ def _clock(sweeps: Sequence[SweepRecords]) -> Iterator[Sign]:
 
 def drive_off(data: SweepRecords) -> bool:
     """Whether the drive is off and not the converter's clock: mains lines then come out at the mains frequency."""
-    return drive_clock(data.frequency, data.nominal, data.leftovers, data.mains) is not None
+    return data.drive_off or drive_clock(data.frequency, data.nominal, data.leftovers, data.mains) is not None
 
 
 def _levels(sweeps: Sequence[SweepRecords]) -> set[str]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, mounts
+from rig.archive.reduced import reduced
 from rig.errors import BadInput
 from rig.sensor import ROTATIONS, Sensor
 from rig.signals import spectrum
@@ -106,6 +107,11 @@ def rotation_of(records: Recorded, channels: Sequence[str], sensor: Sensor) -> R
 
     Raises BadInput if the run has no hold, or a hold has no whole revolutions that can be trusted.
     """
+    kinds = (Rotation, Blocks, Mount, spectrum.Lines, spectrum.Density)
+    return reduced(records, "rotation", kinds, lambda: _reduced(records, channels, sensor), list(channels), sensor)
+
+
+def _reduced(records: Recorded, channels: Sequence[str], sensor: Sensor) -> Rotation:
     settings = encoder_settings(records.lines)
     found: list[Blocks] = []
     longest: tuple[float, Mapping[str, Any], Mount, Track] | None = None

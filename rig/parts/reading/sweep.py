@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics, wires_of
+from rig.archive.reduced import reduced
 from rig.foreign.tables import is_foreign
+from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.channels import channels_of
 from rig.parts.conditions import smoothed
@@ -21,10 +23,11 @@ from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
 from rig.parts.sweep import Sweep
-from rig.parts.sweep_lines import LIMIT, density, slow_noise, taken
+from rig.parts.sweep_lines import LIMIT, density, drive_clock, slow_noise, taken
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, Leftover, SweepRecords, directions
 from rig.record import Wires
 from rig.signals import tone
+from rig.signals.noise import NoiseModel
 from rig.signals.spectrum import Density
 
 Array = NDArray[np.float64]
@@ -69,7 +72,11 @@ def _swept(records: Recorded) -> list[Recorded]:
 
 def shaken(records: Recorded) -> list[SweepRecords]:
     """Every sweep of a run, each a mounting; [] for a run that has none. Raises BadInput as `sines` does."""
-    return [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(_swept(records))]
+    kinds = (SweepRecords, Channels, NoiseModel)
+    return reduced(
+        records, "sweep", kinds,
+        lambda: [_sweep(one, f"{records.name}#{number}") for number, one in enumerate(_swept(records))],
+    )  # fmt: skip
 
 
 def _sweep(records: Recorded, name: str) -> SweepRecords:
@@ -237,6 +244,8 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         slow_noise(d, float(pole), leftovers[0], step) for d, pole in zip(densities, channels.pole, strict=True)
     )
     points = [one.point for one in whole]
+    frequency = np.array([0.0 if p is None else p.frequency for p in points])
+    nominal = np.array([0.0 if p is None else _nominal(records, p) for p in points])
     begins = np.array([one.begin for one in whole])
     observed = np.array([one.lines[rows] for one in whole]).transpose(1, 0, 2)
     usable = np.array([one.usable[rows] & _trusted(one.point) for one in whole]).T
@@ -255,8 +264,8 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         gated=np.nan_to_num([one.gated for one in whole]),
         outliers=np.array([one.outliers for one in whole]),
         reference_variance=np.array([one.reference_variance for one in whole]),
-        frequency=np.array([0.0 if p is None else p.frequency for p in points]),
-        nominal=np.array([0.0 if p is None else _nominal(records, p) for p in points]),
+        frequency=frequency,
+        nominal=nominal,
         begin=begins,
         end=np.array([one.begin + one.seconds for one in whole]),
         level=tuple("rest" if p is None else p.level for p in points),
@@ -269,7 +278,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         mains=mains,
         gravity=reference(records, "gravity", "gravity").value,
         directions=directions(axis),
-        leftovers=tuple(_only(one.leftover, rows) for one in whole),
+        drive_off=drive_clock(frequency, nominal, [_only(one, rows) for one in leftovers], mains) is not None,
         notes=tuple(f"{p.run} point {p.index}: {f}" for p in points if p and not _trusted(p) for f in p.flags),
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, experiments, mounts, reference, wires_of
+from rig.archive.reduced import reduced
 from rig.errors import BadInput
 from rig.foreign.tables import is_foreign
 from rig.model import Channels
@@ -78,6 +79,10 @@ def spun(records: Recorded) -> list[PlatterRecords]:
 
     Raises BadInput if the encoder cannot be read.
     """
+    return reduced(records, "turntable", (PlatterRecords, Channels, Shown, noise.NoiseModel), lambda: _spun(records))
+
+
+def _spun(records: Recorded) -> list[PlatterRecords]:
     cables = list(records.header["bench_file"]["cables"]["turntable"])
     made: list[PlatterRecords] = []
     for one in experiments(records):

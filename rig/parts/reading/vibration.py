@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, Reference, Signals, reference, signals_of, wires_of
+from rig.archive.reduced import reduced
 from rig.errors import BadInput
 from rig.record import Wires
 from rig.signals import tone
@@ -155,7 +156,9 @@ class Sine:
 
 def sine_points(records: Recorded, chain: Chain) -> list[SinePoint]:
     """Every sine of a run; raises BadInput if its record has no reference or too few cycles."""
-    return [sine.point for sine in sines(records, chain)]
+    return reduced(
+        records, "sines", (SinePoint, Line), lambda: [sine.point for sine in sines(records, chain)], chain
+    )  # fmt: skip
 
 
 def sines(records: Recorded, chain: Chain) -> Iterator[Sine]:

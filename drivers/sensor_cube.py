@@ -58,6 +58,9 @@ ON_THE_WAY = 3
 LUMP_WAIT = 0.05
 """Real time to wait for frames that the bench's clock says must have been sent, s."""
 
+CRYSTAL = 1e-4
+"""Relative tolerance of the device's clock: a common crystal."""
+
 STALLED = 1.0
 """Bench time without one good frame after which a record has ended early, s."""
 
@@ -235,6 +238,18 @@ def fit_clock(device: NDArray[np.float64], arrival: NDArray[np.float64], resolut
             break
         keep = timely
     return _clock_line(device, arrival, keep, resolution) if keep.sum() >= 3 else None
+
+
+def clock_of(device: NDArray[np.float64], arrival: NDArray[np.float64], resolution: float) -> ClockFit | None:
+    """The fitted line, or where arrivals are few or close together one of the nominal rate, right to `CRYSTAL`."""
+    fitted = fit_clock(device, arrival, resolution)
+    if fitted is not None and fitted.u_rate < CRYSTAL:
+        return fitted
+    if not len(device):
+        return None
+    apart = arrival - device
+    u = max(float(np.std(apart)), resolution)
+    return ClockFit(float(np.median(apart)), 0.0, u, CRYSTAL, used=len(apart), late=0)
 
 
 def _residuals(
@@ -492,7 +507,7 @@ class SensorCube:
             bad_frames=bad,
             rate=record.rate,
             start=record.first_arrival,
-            clock=fit_clock(device, arrival, resolution=1.0 / record.rate / math.sqrt(12.0)),
+            clock=clock_of(device, arrival, resolution=1.0 / record.rate / math.sqrt(12.0)),
         )
 
     def _command(self, kind: int, data: bytes = b"") -> Answer:

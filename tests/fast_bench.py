@@ -11,6 +11,7 @@ the oscilloscope keeps 1024 points. Latencies of the instruments are those of th
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -21,19 +22,20 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
-from drivers import ofv3001
+from drivers import ofv3001, sensor_cube
+from fixtures import sensor_cube as sensor_cube_twin
 from fixtures import spectra
 from fixtures.das16jr_board import RANGES
 from fixtures.world import Refused, World
 from rig.archive import journal
 from rig.archive.journal import BlockRef, Entry
-from rig.archive.records import Signals, response_of
+from rig.archive.records import Signals, cube_of, response_of
 from rig.archive.runs import Runs
 from rig.bench import procedure_file, runner
 from rig.bench.assembly import Bench, Fitting, fittings
 from rig.bench.benchfile import BenchDescription, describe
 from rig.errors import ConfigError, OperatorRefused, SettingRefused
-from rig.record import Channel, Identity, Response, Samples, Timing, Traces
+from rig.record import Channel, CubeSamples, Identity, Response, Samples, Timing, Traces
 from rig.room import Confirmation, Request, Room
 from rig.yaml import document as documents
 
@@ -336,6 +338,29 @@ class Scope:
         """Nothing to close."""
 
 
+class CubeLine:
+    """The serial line of the Sensor Cube's twin, for its own driver: see `drivers.links.SerialLink`."""
+
+    instrument, address = "cube", "in memory"
+
+    def __init__(self, world: World) -> None:
+        self.lock = threading.RLock()
+        self._twin, self._waiting = sensor_cube_twin.SensorCube(world), bytearray()
+
+    def write(self, data: bytes) -> None:
+        self._waiting += self._twin.receive(data)
+
+    def read_available(self, timeout: float) -> bytes:
+        """What has arrived; world time stands still meanwhile, so that there is nothing to wait for."""
+        found = bytes(self._waiting) + bytes(self._twin.outbox)
+        self._waiting.clear()
+        self._twin.outbox.clear()
+        return found
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
 class NoGuard:
     """There is no other process that could have to switch anything off."""
 
@@ -394,6 +419,10 @@ class MemoryRecords:
     def response(self, name: str) -> Response:
         """What the analyzer measured. KeyError if there is nothing."""
         return response_of(self.block(name), self.metas[name])
+
+    def cube(self, name: str) -> CubeSamples:
+        """The Sensor Cube's own frames. KeyError if there are none."""
+        return cube_of(self.block(name), self.block(f"{name}-frames"), self.metas[name])
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block's name and their columns. KeyError if there are none, as on this bench."""
@@ -555,6 +584,8 @@ def _instrument(role: str, fitting: Fitting, world: World, room: Room, recorder:
             return Analyzer(world)
         case "scope":
             return Scope(world, fitting.settings.names)
+        case "cube":
+            return sensor_cube.SensorCube(CubeLine(world), fitting.settings, room)  # type: ignore[arg-type]
         case "filter" | "encoder" | "turntable":
             return fitting.module.connect(role, fitting.settings, room)
     raise ValueError(f"found a bench with a {role}, wanted one without")

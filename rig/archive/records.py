@@ -18,7 +18,7 @@ from rig import units
 from rig.archive.journal import Entry
 from rig.archive.reader import Run, blocks_of, points_of
 from rig.errors import BadInput, StandardOverdue
-from rig.record import Channel, CubeSamples, Response, Samples, Timing, Wires
+from rig.record import Channel, ClockFit, CubeSamples, Response, Samples, Timing, Wires
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
 OF_A_STEP = ("step", "point", "repeated", "prepared")  # lines that name a step by its index
@@ -52,6 +52,10 @@ class Recorded(Protocol):
 
     def response(self, name: str) -> Response:
         """What the analyzer measured."""
+        ...
+
+    def cube(self, name: str) -> CubeSamples:
+        """The Sensor Cube's own frames behind a block name."""
         ...
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
@@ -131,20 +135,7 @@ class Records:
 
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""
-        meta, frames = self._blocks[name][0].meta, self._block(f"{name}-frames")
-        return CubeSamples(
-            names=tuple(meta["names"]),
-            counts=self._block(name),
-            sequence=frames[:, 0],
-            device_us=frames[:, 1],
-            flags=frames[:, 2].astype(np.uint16),
-            supply=frames[:, 3].astype(np.uint16),
-            temperature=frames[:, 4].astype(np.uint16),
-            gaps=int(meta["gaps"]),
-            bad_frames=int(meta["bad_frames"]),
-            rate=float(meta["rate"]),
-            start=float(meta["start"]),
-        )
+        return cube_of(self._block(name), self._block(f"{name}-frames"), self._blocks[name][0].meta)
 
 
 def response_of(columns: NDArray[np.float64], meta: Mapping[str, Any]) -> Response:
@@ -152,6 +143,24 @@ def response_of(columns: NDArray[np.float64], meta: Mapping[str, Any]) -> Respon
     frequency, real, imaginary, coherence = np.asarray(columns, np.float64).T
     known = None if np.isnan(coherence).all() else coherence
     return Response(frequency, real + 1j * imaginary, known, int(meta["averages"]), tuple(meta["overloads"]))
+
+
+def cube_of(counts: NDArray[np.uint16], frames: NDArray[np.int64], meta: Mapping[str, Any]) -> CubeSamples:
+    """The cube's frames from their two blocks; gaps and clock of a stream are those of its first stretch."""
+    return CubeSamples(
+        names=tuple(meta["names"]),
+        counts=counts,
+        sequence=frames[:, 0],
+        device_us=frames[:, 1],
+        flags=frames[:, 2].astype(np.uint16),
+        supply=frames[:, 3].astype(np.uint16),
+        temperature=frames[:, 4].astype(np.uint16),
+        gaps=int(meta["gaps"]),
+        bad_frames=int(meta["bad_frames"]),
+        rate=float(meta["rate"]),
+        start=float(meta["start"]),
+        clock=None if meta.get("clock") is None else ClockFit(**meta["clock"]),
+    )
 
 
 def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) -> Samples:
@@ -224,6 +233,9 @@ class Experiment:
 
     def response(self, name: str) -> Response:
         return self.run.response(name)
+
+    def cube(self, name: str) -> CubeSamples:
+        return self.run.cube(name)
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         return self.run.table(name)

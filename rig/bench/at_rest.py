@@ -9,6 +9,7 @@ import numpy as np
 
 from rig.archive.writer import BlockStream
 from rig.bench import at_shaker
+from rig.bench.cube_record import CubeRecord
 from rig.bench.station import Station, samples_meta
 from rig.bench.steps import Ask, Static, Wait
 from rig.record import Samples
@@ -45,16 +46,27 @@ def static(step: Static, station: Station) -> dict[str, Any]:
     sleep(station, step.settle)
     body: dict[str, Any] = {"purpose": step.purpose, "cables": station.cables, "seconds": step.seconds}
     name = station.block_name(step.label)
-    with_cube = "cube" in station.description.file.recorders and "cube" in station.instruments
-    if with_cube:
-        station.cube.configure()
-        station.cube.start()
-    if station.keeps("recorder") or step.cables == "turntable":
-        body |= _converter(step, station, name)
-    if with_cube:
-        body |= station.store_cube(name, station.cube.read(step.seconds))
-        station.cube.stop()
+    cube = CubeRecord(station, name) if station.keeps("cube") else None
+    try:
+        if station.keeps("recorder") or step.cables == "turntable":
+            body |= _converter(step, station, name, cube)
+        elif cube is not None:
+            _cube_alone(step, station, cube)
+    finally:
+        if cube is not None:
+            cube.keep()
+    if cube is not None:
+        cube.stop()
+        body |= cube.said()
     return body
+
+
+def _cube_alone(step: Static, station: Station, cube: CubeRecord) -> None:
+    left = step.seconds
+    while left > 1e-9:
+        station.guard.beat(within=30.0)
+        cube.take(min(left, CHUNK))
+        left -= CHUNK
 
 
 class _Taken:
@@ -89,7 +101,7 @@ class _Taken:
         return {"samples": self._name, "scans": self.scans, "start": self.start, "conditions": conditions}
 
 
-def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
+def _converter(step: Static, station: Station, name: str, cube: CubeRecord | None) -> dict[str, Any]:
     timing = station.wire()
     scans = math.ceil(step.seconds * timing.scan_rate - 1e-9)
     chunk = math.ceil(CHUNK * timing.scan_rate)
@@ -98,7 +110,10 @@ def _converter(step: Static, station: Station, name: str) -> dict[str, Any]:
     try:
         while taken.scans < scans:
             station.guard.beat(within=30.0)
-            taken.add(station.read(min(scans - taken.scans, chunk)))
+            piece = min(scans - taken.scans, chunk)
+            taken.add(station.read(piece))
+            if cube is not None:
+                cube.take(piece / timing.scan_rate)
             station.progress(f"{step.label} {taken.scans / timing.scan_rate:.0f} of {step.seconds:.0f} s")
     finally:
         taken.keep()

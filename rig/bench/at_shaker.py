@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.bench.cube_record import joined
 from rig.bench.station import Station
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
 from rig.errors import BadInput, SettingRefused, SignalLow, SignalOverload, VerdictNotMet
@@ -176,7 +177,8 @@ def _overloaded(step: Sine, overloads: Sequence[str], widest: str = "") -> Signa
 
 def _acquire(step: Sine, station: Station) -> Captured:
     """Every recorder that keeps data looks at the same stretch of motion; the oscilloscope at the stretch after it."""
-    samples = response = cube = None
+    samples = response = None
+    cube: CubeSamples | None = None
     if station.keeps("cube"):
         station.cube.configure()
         station.cube.start()
@@ -186,10 +188,13 @@ def _acquire(step: Sine, station: Station) -> Captured:
         station.analyzer.start_measurement()
         response = station.analyzer.finish_measurement()
     _trusted(station)
+    seconds = step.scans / station.description.file.rate
+    if station.keeps("cube"):  # in two pieces: a line holds about a second
+        cube = station.cube.read(0.5 * seconds)
     if station.keeps("recorder"):
         samples = station.read(step.scans)
-    if station.keeps("cube"):
-        cube = station.cube.read(step.scans / station.description.file.rate)
+    if cube is not None:
+        cube = joined(cube, station.cube.read(0.5 * seconds))
         station.cube.stop()
     traces = station.scope.capture() if station.keeps("scope") else None
     return Captured(samples, response, traces, cube)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.bench.cube_record import CubeRecord
 from rig.bench.station import Station, samples_meta
 from rig.bench.steps import Spin, touch_request
 from rig.errors import VerdictNotMet
@@ -35,6 +36,7 @@ class WatchedRecord:
         self.flagged: list[int] = []
         self.revolutions: list[Any] = []
         self.conditions: dict[str, float] = {}
+        self._cube = CubeRecord(station, self.name) if station.keeps("cube") else None
         station.recorder.start(None)
 
     @property
@@ -48,6 +50,8 @@ class WatchedRecord:
         station.guard.beat(within=30.0)
         samples = station.read(self._scans)
         self._keep(samples)
+        if self._cube is not None:
+            self._cube.take(self._scans * self._scan_period)
         with station.watch("analysis"):
             completed = self._decoded(samples)
         self.revolutions += completed
@@ -63,6 +67,14 @@ class WatchedRecord:
         if self._stream is not None:
             with self._station.watch("storage"):
                 self._stream.close()
+        if self._cube is not None:
+            self._cube.keep()
+
+    def stop(self) -> None:
+        """End the record at the instruments."""
+        self._station.recorder.stop()
+        if self._cube is not None:
+            self._cube.stop()
 
     def said(self) -> dict[str, Any]:
         """What to write of the record in the journal."""
@@ -74,6 +86,7 @@ class WatchedRecord:
             "revolutions_seen": len(self.revolutions),
             "missed_index": self.missed,
             "flagged_counts": self.flagged,
+            **({} if self._cube is None else self._cube.said()),
         }
 
     def _keep(self, samples: Samples) -> None:
@@ -109,7 +122,7 @@ def spin(step: Spin, station: Station) -> dict[str, Any]:
         found = _PHASES[step.phase](step, station, record)
     finally:
         record.keep()
-    station.recorder.stop()
+    record.stop()
     return {**common, **record.said(), **found}
 
 

@@ -173,13 +173,10 @@ class Station:
 
     def store_cube(self, name: str, samples: CubeSamples) -> dict[str, Any]:
         """The cube's own frames as two blocks: raw counts, and what came with each frame."""
-        columns: list[NDArray[Any]] = [samples.sequence, samples.device_us]
-        columns += [samples.flags, samples.supply, samples.temperature]
-        frames = np.column_stack(columns).astype(np.int64)
-        named = ["sequence", "device_us", "flags", "supply", "temperature"]
         with self.watch("storage"):
             self.journal.block(f"{name}-cube", samples.counts, cube_meta(samples))
-            self.journal.block(f"{name}-cube-frames", frames, {"kind": "cube_frames", "columns": named})
+            columns = {"kind": "cube_frames", "columns": list(FRAMES)}
+            self.journal.block(f"{name}-cube-frames", frame_columns(samples), columns)
         return {"cube": f"{name}-cube", "cube_gaps": samples.gaps, "cube_bad_frames": samples.bad_frames}
 
     def block_name(self, label: str) -> str:
@@ -196,6 +193,15 @@ class Station:
         if wires.temperature in names:
             found["temperature"] = float(samples.volts(wires.temperature).mean() / 0.010)
         return found
+
+
+FRAMES = ("sequence", "device_us", "flags", "supply", "temperature")
+"""What came with each frame of the cube beside its counts."""
+
+
+def frame_columns(samples: CubeSamples) -> NDArray[np.int64]:
+    """The same as columns, shape (n, 5)."""
+    return np.column_stack([getattr(samples, name) for name in FRAMES]).astype(np.int64)
 
 
 def cube_meta(samples: CubeSamples) -> dict[str, Any]:

@@ -52,6 +52,7 @@ class Observed:
     """Complex responses of one channel, V/(m/s²), with relative standard uncertainty of each part; all shape (n,).
 
     `run` and `index` say which point of which run each is.
+    `u_time` (s): with channel and reference in two records the phases say nothing, and magnitudes alone are fitted.
     """
 
     frequency: Array
@@ -60,6 +61,7 @@ class Observed:
     peak: Array
     run: tuple[str, ...]
     index: tuple[int, ...] = ()
+    u_time: float = 0.0
 
 
 def observed(points: Iterable[SinePoint], channel: str) -> Observed:
@@ -76,6 +78,7 @@ def observed(points: Iterable[SinePoint], channel: str) -> Observed:
         peak=np.array([p.peak for p in good]),
         run=tuple(p.run for p in good),
         index=tuple(p.index for p in good),
+        u_time=max(p.u_time for p in good),
     )
 
 
@@ -113,7 +116,7 @@ def fit_channel(
 ) -> ChannelFit:
     """Adjust one channel; with `reference_peak` (m/s²) also the relative gain change at that peak, growing as A²."""
     turned = seen.response * (1.0 + 1j * seen.frequency / nominal_pole)
-    sign = 1.0 if float(np.median(turned.real)) >= 0.0 else -1.0
+    sign = _sign(turned, seen)
     start = {
         "log_sensitivity": math.log(float(np.median(np.abs(turned)))),
         "log_pole": math.log(nominal_pole),
@@ -134,10 +137,18 @@ def fit_channel(
         modelled = modelled * np.exp(2j * math.pi * seen.frequency * p[2]) * (1.0 + slope * p[3])
         if reference_peak is not None:
             modelled = modelled * (1.0 + p[4] * (seen.peak / reference_peak) ** 2)
+        if seen.u_time:
+            return np.asarray(np.log(np.abs(seen.response / modelled)) / seen.u_relative, np.float64)
         left = (seen.response / modelled - 1.0) / seen.u_relative
         return np.asarray(np.concatenate([left.real, left.imag]), np.float64)
 
     return ChannelFit(channel, sign, adjust(residuals, start, priors), seen)
+
+
+def _sign(turned: Complexes, seen: Observed) -> float:
+    """Of the in-phase part; where clocks are not one, of the lowest frequency, whose phase they disturb least."""
+    chosen = turned[np.argmin(seen.frequency)] if seen.u_time else np.median(turned.real)
+    return 1.0 if float(np.real(chosen)) >= 0.0 else -1.0
 
 
 def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | None, drift: float | None) -> Result:
@@ -161,6 +172,7 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         _cosine("beam to motion", setup.beam, s),
         _cosine("mounting angle", setup.mount, s),
         *drifting,
+        *_clock(fit.seen),
     ]
     if remount is None:
         remarks = ("repeatability across remounts not measured: one mounting", *remarks)
@@ -180,8 +192,18 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
     )
 
 
+def _clock(seen: Observed) -> tuple[Contribution, ...]:
+    """What the clocks of two recorders do to a magnitude: nothing, and that is why phases are left out."""
+    if not seen.u_time:
+        return ()
+    return (
+        Contribution("clock between the recorders", "B", "normal", seen.u_time, "s", 0.0, source="magnitudes alone"),
+    )
+
+
 def _dof(fit: ChannelFit) -> float:
-    return float(max(2 * len(fit.seen.frequency) - 2, 1))
+    parts = 1 if fit.seen.u_time else 2
+    return float(max(parts * len(fit.seen.frequency) - 2, 1))
 
 
 def _prior(fit: ChannelFit, name: str, prior: str, u: float, unit: str, source: str) -> Contribution:
@@ -286,6 +308,8 @@ def cross_axis_result(points: Sequence[SinePoint], channel: str, driven: str, ow
     title = f"cross-axis from {driven}"
     if not good:
         return not_determined(channel, f"cross_axis_{driven}", title, "1", "no usable point: clipped or flagged")
+    if any(p.u_time for p in good):
+        return not_determined(channel, f"cross_axis_{driven}", title, "1", "its sign needs the reference's clock")
     f = np.array([p.frequency for p in good])
     ratio = np.array([p.response(channel) for p in good]) / own.response(f)
     u = np.array([math.sqrt(float(p.lines[channel].variance[0])) / p.peak for p in good]) / np.abs(own.response(f))
@@ -305,7 +329,8 @@ def cross_axis_result(points: Sequence[SinePoint], channel: str, driven: str, ow
 
 def response_table(points: Sequence[SinePoint], fit: ChannelFit, chain: Chain) -> tuple[ResponsePoint, ...]:
     """Every point as it was measured, with uncertainty, lowest frequency first."""
-    return tuple(_response_point(p, fit, chain) for p in sorted(points, key=lambda p: (p.frequency, -p.peak)))
+    seen = [p for p in points if fit.channel in p.lines]
+    return tuple(_response_point(p, fit, chain) for p in sorted(seen, key=lambda p: (p.frequency, -p.peak)))
 
 
 def _response_point(point: SinePoint, fit: ChannelFit, chain: Chain) -> ResponsePoint:
@@ -315,7 +340,7 @@ def _response_point(point: SinePoint, fit: ChannelFit, chain: Chain) -> Response
     u_phase = u / abs(response)
     reference = (
         math.hypot(chain.gain.u / chain.gain.value, slope.real, chain.time_base.u),
-        math.hypot(2.0 * math.pi * point.frequency * chain.delay.u, slope.imag),
+        math.hypot(2.0 * math.pi * point.frequency * math.hypot(chain.delay.u, point.u_time), slope.imag),
     )
     return ResponsePoint(
         frequency=point.frequency,
@@ -338,6 +363,9 @@ def _distortion(point: SinePoint, fit: ChannelFit) -> float:
     line = point.lines[fit.channel]
     orders = np.arange(2, HARMONICS + 1)
     at = np.asarray(orders * point.frequency, np.float64)
-    left = np.subtract(line.amplitudes[1:], np.multiply(fit.response(at), point.acceleration[1:]))
+    explained = np.multiply(fit.response(at), point.acceleration[1:])
+    left = np.subtract(line.amplitudes[1:], explained)
+    if point.u_time:
+        left = np.subtract(np.abs(line.amplitudes[1:]), np.abs(explained))
     seen = np.isfinite(left)
     return float(np.linalg.norm(left[seen]) / abs(complex(line.amplitudes[0])))

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, experiments, mounts, reference, signals, wires_of
+from rig.archive.records import Recorded, experiments, mounts, reference, wires_of
 from rig.calibrate import accelerometers, agreement, gyros, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
-from rig.calibrate.analyzer_route import second_route
+from rig.calibrate.analyzer_route import SecondRoute, second_route
 from rig.calibrate.budget import Budget, Contribution, half_width
-from rig.calibrate.calibration import Calibration, ResponsePoint, Result, Source, not_determined
+from rig.calibrate.calibration import Calibration, PaperRow, ResponsePoint, Result, Source, not_determined
+from rig.calibrate.cube_route import SAID, Recorder, at_rest, noise_by_cube, recorder_of, said, seen_by, with_clock
 from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
 from rig.calibrate.joined import DirectEstimate, joined, of_model
@@ -31,6 +32,7 @@ from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.foreign.tables import is_foreign
+from rig.parts.reading.cube_frames import points_by_cube, rotation_by_cube
 from rig.parts.reading.revolutions import Rotation, rotation_of
 from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
 from rig.sensor import ROTATIONS, Sensor, SensorChannel, SheetNoise
@@ -65,12 +67,17 @@ def alignment_of(runs: Sequence[Recorded]) -> Alignment:
 
 
 def calibrate(
-    runs: Sequence[Recorded], name: str, digests: Mapping[str, str] | None = None, assumed: Assumed | None = _DATA_SHEET
+    runs: Sequence[Recorded],
+    name: str,
+    digests: Mapping[str, str] | None = None,
+    assumed: Assumed | None = _DATA_SHEET,
+    recorder: Recorder | None = None,
 ) -> Calibration:
     """One calibration from all runs of a unit; `digests` are SHA-256 of the seals by run.
 
     Values stand on the model `assumed`, fitted to all records of an experiment, with the direct estimates beside them;
-    without a model (None) they are the direct estimates.
+    without a model (None) they are the direct estimates. `recorder` is the one to read the sensor from (None: the
+    converter, else the oscilloscope, else the cube); a model reads the converter's records alone.
 
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
@@ -79,22 +86,17 @@ def calibrate(
         raise BadInput(f"{foreign[0]}: found imported data, wanted runs of a bench (an imported unit: rig fit)")
     header = _common_header(runs)
     sensor = Sensor.of(header)
-    poles = {channel.name: channel.bandwidth for channel in sensor.channels}
-    done = [one for records in runs for one in experiments(records)]
-    bench = _Bench(done, header, sensor, alignment_of(runs), *resting.noise_of(done, sensor.names, poles))
+    bench = _bench_of(runs, header, recorder_of(runs, sensor, recorder))
     shaken = _Shaken(bench)
     turned = _Turned(bench)
+    assumed = assumed if bench.recorder == "converter" else None
     results, unfitted = _on_model(runs, shaken, turned, assumed)
     results += [*bench.noise_results(list(results), shaken, turned), *_tumble_results(bench)]
-    if not any(r.determined for r in results):
-        raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
-                       "a turntable run, a tumble or a noise record")  # fmt: skip
-    second = second_route(done, sensor, shaken.setup())
-    said = () if second is None else tuple(second.flags())
+    results = list(said(results, bench.recorder))
+    _refuse_nothing(runs, results)
+    second = second_route(bench.runs, sensor, shaken.setup())
     if second is not None:
         results += second.results(results)
-    paper = paper_method.accelerometer_rows(shaken.everything(), sensor, runs)
-    paper += [row for one in done for row in paper_method.gyro_rows(one, sensor)]
     return Calibration(
         name=name,
         sensor=sensor.name,
@@ -107,9 +109,9 @@ def calibrate(
         results=tuple(_judged(_ordered(results, sensor), sensor)),
         responses=shaken.responses(),
         analyzer={} if second is None else second.responses(),
-        paper=tuple(paper),
+        paper=tuple(_paper(shaken, bench)),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
-        flags=tuple(dict.fromkeys([*unfitted, *bench.flags(), *shaken.flags(), *turned.flags(), *said])),
+        flags=tuple(dict.fromkeys([*unfitted, *_flags(bench, shaken, turned, second)])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
         model="" if assumed is None else assumed.said,
@@ -140,6 +142,38 @@ def _fitted(runs: Sequence[Recorded], assumed: Assumed) -> tuple[dict[str, Exper
         return {}, (f"no model was fitted, values are the direct estimates: {error}",)
 
 
+def _refuse_nothing(runs: Sequence[Recorded], results: Iterable[Result]) -> None:
+    if not any(r.determined for r in results):
+        raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
+                       "a turntable run, a tumble or a noise record")  # fmt: skip
+
+
+def _flags(bench: _Bench, shaken: _Shaken, turned: _Turned, second: SecondRoute | None) -> Iterator[str]:
+    yield from bench.flags()
+    yield from shaken.flags()
+    yield from turned.flags()
+    if second is not None:
+        yield from second.flags()
+
+
+def _paper(shaken: _Shaken, bench: _Bench) -> Iterator[PaperRow]:
+    """The published estimators, which read the converter."""
+    if bench.recorder == "cube":
+        return
+    yield from paper_method.accelerometer_rows(shaken.everything(), bench.sensor, bench.runs)
+    for one in bench.runs:
+        yield from paper_method.gyro_rows(one, bench.sensor)
+
+
+def _bench_of(runs: Sequence[Recorded], header: Mapping[str, Any], recorder: Recorder) -> _Bench:
+    """What was measured, as the recorder that calibrates has it, with the noise that it saw at rest."""
+    sensor = Sensor.of(header)
+    poles = {channel.name: channel.bandwidth for channel in sensor.channels}
+    done = [seen_by(one, recorder) for records in runs for one in experiments(records)]
+    noise_of = noise_by_cube if recorder == "cube" else resting.noise_of
+    return _Bench(done, header, sensor, alignment_of(runs), *noise_of(done, sensor.names, poles), recorder)
+
+
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
     if not runs:
         raise BadInput("calibrate: found no run, wanted at least one")
@@ -167,12 +201,15 @@ class _Bench:
     alignment: Alignment
     noise: Mapping[str, Resting]
     without_noise: Mapping[str, str]
+    recorder: Recorder = "converter"
 
     @property
     def temperature(self) -> tuple[float, float, float] | None:
         return resting.conditions_of(self.runs).get("temperature")
 
     def flags(self) -> Iterator[str]:
+        if self.recorder != "converter":
+            yield f"{SAID[self.recorder]}: values are direct estimates, a model reads the converter alone"
         if not self.alignment.declared:
             yield "no `alignment` in the bench file of every run: the budgets contain no misalignment"
         for records in self.runs:
@@ -298,7 +335,9 @@ class _Shaken:
                 chain = chain_of(records)
                 if self._chain is None or chain.u_cutoff > self._chain.u_cutoff:
                     self._chain = chain  # standards are common to all runs; of their filters the least sure one counts
-                self.points.append(sine_points(records, chain))
+                points = sine_points(records, chain)
+                points = points_by_cube(records, points, bench.sensor) if bench.recorder == "cube" else points
+                self.points += [points] if points else []
         self._refuse_wrong_axis()
         self._fit()
 
@@ -316,7 +355,7 @@ class _Shaken:
             return
         for group in self.points:
             for sensor in self._bench.sensor.along(group[0].axis):
-                if sensor.name in group[0].lines:
+                if any(sensor.name in point.lines for point in group):
                     self._fit_mounting(group, sensor, chain)
         for name, several in self._fits.items():
             sensor = self._bench.sensor.channel(name)
@@ -390,7 +429,8 @@ class _Shaken:
 
     def _mean_at_rest(self, sensor: SensorChannel) -> _AtRest | None:
         """Generalised least-squares mean: records that wander together are not counted as independent."""
-        found = [r for records in self._bench.runs for r in _level_rests(records, sensor)]
+        runs, by = self._bench.runs, self._bench.recorder
+        found = [r for records in runs for r in _level_rests(records, sensor, by)]
         if not found or sensor.name not in self._bench.noise:
             return None
         begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
@@ -455,7 +495,7 @@ def weights_of(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], fl
     return np.asarray(weights / total), total**-0.5
 
 
-def _level_rests(records: Recorded, sensor: SensorChannel) -> Iterator[tuple[float, float, float]]:
+def _level_rests(records: Recorded, sensor: SensorChannel, by: Recorder) -> Iterator[tuple[float, float, float]]:
     """Begin, end (bench clock, s) and mean volts of every record at rest on the shaker with this axis horizontal."""
     for entry, mount in mounts(records):
         body = entry.body
@@ -464,13 +504,12 @@ def _level_rests(records: Recorded, sensor: SensorChannel) -> Iterator[tuple[flo
             or mount is None
             or mount["place"] != "shaker"
             or not str(body.get("purpose", "")).startswith("static_")
-            or "samples" not in body
             or "xyz"[UP[str(mount["axis"])]] == sensor.axis
         ):
             continue
-        found = signals(records.samples(body["samples"]))
-        if sensor.name in found.names and not found.clipped.get(sensor.name):
-            start = float(body["start"])
+        found = at_rest(records, body, by)
+        if found is not None and sensor.name in found.names and not found.clipped.get(sensor.name):
+            start = float(body.get("start", found.start))
             yield start, start + float(body["seconds"]), float(found.of(sensor.name).mean())
 
 
@@ -489,7 +528,11 @@ class _Turned:
                 self._setup = self._setup or self._made(records)
                 wired, supply = records.header["bench_file"]["cables"]["turntable"], wires_of(records).supply
                 channels = [c for c in wired if c in bench.sensor or c == supply]
-                rotation = rotation_of(records, channels, bench.sensor)
+                by_cube = bench.recorder == "cube"
+                rotation = rotation_of(records, [] if by_cube else channels, bench.sensor)
+                rotation = rotation_by_cube(records, rotation, bench.sensor) if by_cube else rotation
+                if not rotation.blocks:  # the cube kept nothing of this run
+                    continue
                 self._rotations.setdefault(rotation.blocks[0].mount.axis, []).append(rotation)
         if self._setup is not None:
             for axis, rotations in self._rotations.items():
@@ -539,9 +582,12 @@ class _Turned:
 
     def _gyro(self, rotations: Sequence[Rotation], name: str, setup: gyros.Setup) -> Iterator[Result]:
         fit = self._fits[name]
-        yield gyros.sensitivity_result(fit, setup)
-        yield gyros.offset_result(fit)
-        yield from gyros.linearity_results(rotations, fit, setup)
+        found = (
+            gyros.sensitivity_result(fit, setup),
+            gyros.offset_result(fit),
+            *gyros.linearity_results(rotations, fit, setup),
+        )
+        yield from with_clock(found, rotations, self._bench.noise, setup)
 
     def direct(self) -> Iterator[DirectEstimate]:
         """What the direct estimators say, to be held against the fit."""
@@ -590,7 +636,8 @@ class _Turned:
 
 def _tumble_results(bench: _Bench) -> Iterator[Result]:
     for records in bench.runs:
-        yield from tumbling.results(records, bench.sensor, bench.noise, bench.alignment.mount)
+        read = partial(at_rest, recorder=bench.recorder)
+        yield from tumbling.results(records, bench.sensor, bench.noise, bench.alignment.mount, read)
 
 
 def _ordered(results: Iterable[Result], sensor: Sensor) -> list[Result]:

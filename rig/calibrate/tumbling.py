@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, Reference, Signals, poses_of, reference, signals
+from rig.archive.records import Recorded, Reference, Signals, poses_of, reference
 from rig.calibrate import triad
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Result, not_determined
@@ -19,12 +19,17 @@ from rig.errors import BadInput
 from rig.sensor import Sensor, Triad
 
 Array = NDArray[np.float64]
+Read = Callable[[Recorded, Mapping[str, Any]], Signals | None]
 ANGLES = ("xy", "xz", "yz")
 SENSITIVITY = "V/(m/s²)"
 
 
-def results(records: Recorded, sensor: Sensor, noise: Mapping[str, Resting], tilt: float) -> Iterator[Result]:
+def results(
+    records: Recorded, sensor: Sensor, noise: Mapping[str, Resting], tilt: float, read: Read
+) -> Iterator[Result]:
     """Results of every unit; nothing for a run without poses. `tilt` is the declared limit of a pose's angle, rad.
+
+    `read` gives what the recorder that calibrates kept of a pose, None if nothing.
 
     The angles between axes need a whole triad; fewer axes have sensitivity and zero output alone.
     """
@@ -32,13 +37,19 @@ def results(records: Recorded, sensor: Sensor, noise: Mapping[str, Resting], til
     if not found:
         return
     gravity = reference(records, "gravity", "gravity")
-    poses = _Poses(
-        records, np.array([direction for direction, _ in found]), tuple(body for _, body in found),
-        tuple(signals(records.samples(body["samples"])) for _, body in found), gravity, noise, tilt,
-    )  # fmt: skip
+    kept = [(up, body, one) for up, body in found if (one := read(records, body)) is not None]
+    if not kept:
+        return
+    up, bodies, records_of = zip(*kept, strict=True)
+    poses = _Poses(records, np.array(up), tuple(map(_timed, bodies, records_of)), records_of, gravity, noise, tilt)
     for unit in sensor.of_quantity("acceleration"):
         if all(name in noise and all(name in one.names for one in poses.signals) for name in unit.names):
             yield from _of_unit(poses, unit)
+
+
+def _timed(body: Mapping[str, Any], found: Signals) -> Mapping[str, Any]:
+    """A pose's line with when its record began, where only the recorder knows."""
+    return body if "start" in body else {**body, "start": found.start}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -15,6 +15,7 @@ from rig.cli.options import effects_option, json_option, print_json, runs_option
 if TYPE_CHECKING:
     from rig.archive.records import Records
     from rig.calibrate.calibration import Calibration, Result
+    from rig.calibrate.cube_route import Recorder
     from rig.calibrate.fitted import Assumed
 
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
@@ -25,20 +26,27 @@ MODEL = click.option(
 )  # fmt: skip
 NO_MODEL = Path("none")
 NAME = click.option("--name", cls=Carried, help="Name of the calibration [default: the unit's serial and the day].")
+RECORDER = click.option(
+    "--recorder",
+    cls=Carried,
+    type=click.Choice(["converter", "cube", "scope"]),
+    help="Which recorder the sensor is read from [default: converter, else scope, else cube].",
+)
 FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python", "c")
 
 
 @click.command(short_help="Calibrate a unit from its runs.")
 @RUN_NAMES
 @NAME
+@RECORDER
 @click.option("--monte-carlo", is_flag=True, help="Check the budgets of sensitivities by GUM Supplement 1.")
 @MODEL
 @effects_option
 @runs_option
 @json_option
 def calibrate(
-    names: tuple[str, ...], name: str | None, monte_carlo: bool, model: Path | None, effects: Path | None, runs: Path,
-    as_json: bool,
+    names: tuple[str, ...], name: str | None, recorder: str | None, monte_carlo: bool, model: Path | None,
+    effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Merge runs of one unit (axes, remounts, both senses, tumbles, records at rest) into one calibration.
 
@@ -47,7 +55,7 @@ def calibrate(
     """
     from rig.calibrate.calibration import path_of, save
 
-    made, _ = _calibrated(names, runs, name, model, effects)
+    made, _ = _calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     save(made, path)
@@ -88,14 +96,15 @@ def _interval_text(one: dict[str, Any]) -> str:
 @click.command(short_help="Certificate of a unit: PDF and digital (DCC).")
 @RUN_NAMES
 @NAME
+@RECORDER
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
 @MODEL
 @effects_option
 @runs_option
 @json_option
 def certify(
-    names: tuple[str, ...], name: str | None, out: Path | None, model: Path | None, effects: Path | None, runs: Path,
-    as_json: bool,
+    names: tuple[str, ...], name: str | None, recorder: str | None, out: Path | None, model: Path | None,
+    effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Calibrate from runs and write the certificate as PDF and as digital calibration certificate (DCC 3.2.1).
 
@@ -106,7 +115,7 @@ def certify(
     from rig.certificate.pdf import write_pdf
     from rig.report.run_figures import svg_of_response
 
-    made, _ = _calibrated(names, runs, name, model, effects)
+    made, _ = _calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = out or runs / "reports" / made.name
@@ -324,8 +333,9 @@ def _with_another(path: Path) -> list[str]:
 
 
 def _calibrated(
-    names: Sequence[str], runs: Path, name: str | None, model: Path | None, effects: Path | None
-) -> tuple[Calibration, list[Records]]:
+    names: Sequence[str], runs: Path, name: str | None, model: Path | None, effects: Path | None,
+    recorder: str | None = None,
+) -> tuple[Calibration, list[Records]]:  # fmt: skip
     """Calibrate from the named runs by a model; a name that is taken gets a number."""
     import datetime as dt
     from dataclasses import replace
@@ -343,9 +353,8 @@ def _calibrated(
     opened = [Records(archive.open(one)) for one in dict.fromkeys(names)]
     seals = {r.name: r.run.path / SEAL for r in opened}
     digests = {n: digest_of(s.read_bytes()) for n, s in seals.items() if s.exists()}
-    made = merged(
-        opened, "unnamed", digests, _standing_on(str(opened[0].header["sensor"]["serial"]), runs, model, effects)
-    )
+    assumed = _standing_on(str(opened[0].header["sensor"]["serial"]), runs, model, effects)
+    made = merged(opened, "unnamed", digests, assumed, cast("Recorder | None", recorder))
     day = dt.datetime.fromtimestamp(made.made, dt.UTC).date()
     serial = "".join(c if c.isalnum() or c in "-_." else "-" for c in made.serial).lstrip(".") or "unit"
     wanted = name or f"{serial}-{day}"

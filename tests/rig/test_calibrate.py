@@ -19,7 +19,7 @@ from rig.calibrate.calibration import Calibration, load, save, text
 from rig.calibrate.comparison import compare
 from rig.errors import BadInput, StandardOverdue
 from rig.printed import rounded
-from rig.record import Response, Samples
+from rig.record import CubeSamples, Response, Samples
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 8}
 
@@ -48,6 +48,9 @@ class Altered:
 
     def response(self, name: str) -> Response:
         return self._run.response(name)
+
+    def cube(self, name: str) -> CubeSamples:
+        return self._run.cube(name)
 
 
 @pytest.fixture(scope="module")

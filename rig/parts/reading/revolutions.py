@@ -65,7 +65,8 @@ class Blocks:
 
     `rate`, `square`, `cube` are means of ω, ω², ω³ about the platter's upward axis, `acceleration` that of α.
     `u_bound` (s) is the uncertainty of the instant where a block of a hold ends. `volts` by channel;
-    `clipped` samples at the ends of the converter's range, by channel.
+    `clipped` samples at the ends of the converter's range, by channel. `record` is the converter's block of samples;
+    `u_time` (s) how well the channels' instants are known by its clock.
     """
 
     run: str
@@ -82,6 +83,8 @@ class Blocks:
     volts: Mapping[str, Array]
     clipped: Mapping[str, int]
     flags: tuple[str, ...] = ()
+    record: str = ""
+    u_time: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ def _blocks(
     u_bound = interval / math.sqrt(12.0) if kind == "hold" else 0.0
     return Blocks(
         records.name, str(body["label"]), kind, mount, start + bounds[:-1], start + bounds[1:],
-        *motion, u_bound, volts, clipped, flags,
+        *motion, u_bound, volts, clipped, flags, str(body["samples"]),
     )  # fmt: skip
 
 

@@ -114,7 +114,8 @@ class SinePoint:
     """One sine: true acceleration at its harmonics (m/s², complex, shape (5,)) and every channel's line.
 
     `u_relative` is the standard uncertainty of each part of the acceleration at the fundamental from the noise of the
-    reference's record alone, relative to its magnitude. `flags` concern the point as a whole.
+    reference's record alone, relative to its magnitude. `u_time` (s) is how well the channels' instants are known by
+    the reference's clock: 0 in one record. `flags` concern the point as a whole.
     """
 
     run: str
@@ -129,6 +130,7 @@ class SinePoint:
     lines: Mapping[str, Line]
     reference_line: Line
     flags: tuple[str, ...] = ()
+    u_time: float = 0.0
 
     @property
     def peak(self) -> float:
@@ -176,7 +178,7 @@ def sines(records: Recorded, chain: Chain) -> Iterator[Sine]:
 
 def _point(where: str, run: str, index: int, body: Mapping[str, Any], found: Signals, chain: Chain) -> Sine:
     frequency, flags = _driven(where, float(body["frequency"]), found, chain.wire)
-    lines, left = _lines(found, frequency)
+    lines, left = lines_of(found, frequency)
     ldv = lines.pop(chain.wire)
     at = np.asarray(frequency * np.arange(1, HARMONICS + 1), np.float64)
     velocity = np.multiply(ldv.amplitudes, chain.velocity_per_volt(float(body["scale"]), at))
@@ -215,7 +217,7 @@ def _countable(frequency: float, rate: float) -> int:
     return max(1, min(HARMONICS, math.floor(0.49 * rate / frequency)))
 
 
-def _lines(found: Signals, frequency: float) -> tuple[dict[str, Line], NDArray[np.float64]]:
+def lines_of(found: Signals, frequency: float) -> tuple[dict[str, Line], NDArray[np.float64]]:
     """Lines of every channel in one solution (the skew only turns the amplitudes), and what it leaves over."""
     harmonics = _countable(frequency, found.rate)
     design = tone.design(found.instants, frequency, harmonics)

@@ -52,6 +52,7 @@ class Observed:
     """Complex responses of one channel, V/(m/s²), with relative standard uncertainty of each part; all shape (n,).
 
     `run` and `index` say which point of which run each is.
+    `noise_dof`: degrees of freedom of those uncertainties.
     `u_time` (s): with channel and reference in two records the phases say nothing, and magnitudes alone are fitted.
     """
 
@@ -62,6 +63,7 @@ class Observed:
     run: tuple[str, ...]
     index: tuple[int, ...] = ()
     u_time: float = 0.0
+    noise_dof: float = math.inf
 
 
 def observed(points: Iterable[SinePoint], channel: str) -> Observed:
@@ -108,7 +110,8 @@ class ChannelFit:
     @property
     def misfit(self) -> Misfit:
         """Whether one pole describes the points."""
-        return misfit(self.adjustment.chi2, self.adjustment.dof, "one-pole response misses the points")
+        what = "one-pole response misses the points"
+        return misfit(self.adjustment.chi2, self.adjustment.dof, what, self.seen.noise_dof)
 
 
 def fit_channel(
@@ -203,7 +206,7 @@ def _clock(seen: Observed) -> tuple[Contribution, ...]:
 
 def _dof(fit: ChannelFit) -> float:
     parts = 1 if fit.seen.u_time else 2
-    return float(max(parts * len(fit.seen.frequency) - 2, 1))
+    return min(float(max(parts * len(fit.seen.frequency) - 2, 1)), fit.seen.noise_dof)
 
 
 def _prior(fit: ChannelFit, name: str, prior: str, u: float, unit: str, source: str) -> Contribution:

@@ -23,11 +23,15 @@ class Misfit:
         return "flagged" if self.remarks else "determined"
 
 
-def misfit(chi2: float, dof: int, what: str) -> Misfit:
-    """Widened by √(χ²/dof) if the data miss `what` by more than chance allows."""
-    from scipy.special import chdtrc
+def misfit(chi2: float, dof: int, what: str, noise_dof: float = math.inf) -> Misfit:
+    """Widened by √(χ²/dof) if the data miss `what` by more than chance allows.
 
-    if float(chdtrc(dof, chi2)) >= UNLIKELY:
+    With noise that is itself an estimate of `noise_dof` degrees of freedom, χ²/dof has the F distribution.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    by_chance = chdtrc(dof, chi2) if math.isinf(noise_dof) else fdtrc(dof, noise_dof, chi2 / dof)
+    if float(by_chance) >= UNLIKELY:
         return Misfit(1.0)
     factor = math.sqrt(chi2 / dof)
     return Misfit(

@@ -135,6 +135,7 @@ def observed(good: Sequence[Answer], channel: str) -> Observed:
         u_relative=np.sqrt(noise / (2.0 * averages)) / (np.abs(response) * peak),
         peak=peak,
         run=tuple(one.run for one in good),
+        noise_dof=2.0 * float(min(NEAR, len(good))) * float(np.mean(averages - 1)),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fixtures.world import World
+from rig.calibrate.allowances import misfit
 from rig.calibrate.analyzer_route import apart
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, load, save
@@ -109,6 +110,13 @@ def test_points_with_overload_or_low_coherence_are_left_out_and_said(sweep: fast
     assert found.value is not None
     assert f"2 of {len(names)} points left out: input 2 over range, low coherence" in found.remarks
     assert sum("its response was left out" in flag for flag in made.flags) == 2
+
+
+def test_noise_that_is_an_estimate_does_not_make_a_clean_sensor_miss_an_effect() -> None:
+    # twelve points of two averages each, met on the bench: noise known to a third of its variance
+    assert misfit(65.1, 23, "the points").remarks
+    assert not misfit(65.1, 23, "the points", 16.0).remarks
+    assert misfit(23 * 16.0, 23, "the points", 16.0).remarks
 
 
 def test_without_two_points_it_says_why(sweep: fast_bench.MemoryRecords) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.archive.records import Recorded, experiments, mounts, reference, wires_of
-from rig.calibrate import accelerometers, agreement, gyros, paper_method, resting, tumbling
+from rig.calibrate import accelerometers, agreement, gyros, imported, paper_method, resting, tumbling
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.analyzer_route import SecondRoute, second_route
 from rig.calibrate.budget import Budget, Contribution, half_width
@@ -82,8 +82,8 @@ def calibrate(
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
     """
-    if foreign := [run.name for run in runs if is_foreign(run)]:
-        raise BadInput(f"{foreign[0]}: found imported data, wanted runs of a bench (an imported unit: rig fit)")
+    if _imported(runs):
+        return imported.calibration(runs, name, _sources(runs, digests), assumed or _DATA_SHEET)
     header = _common_header(runs)
     sensor = Sensor.of(header)
     bench = _bench_of(runs, header, recorder_of(runs, sensor, recorder))
@@ -103,7 +103,7 @@ def calibrate(
         serial=sensor.serial,
         made=max(entry.t for records in runs for entry in records.lines),
         simulated=any(records.header["simulated"] for records in runs),
-        sources=tuple(_source(records, (digests or {}).get(records.name, "")) for records in runs),
+        sources=_sources(runs, digests),
         standards=tuple(header["standards"]),
         conditions=resting.conditions_of(runs),
         results=tuple(_judged(_ordered(results, sensor), sensor)),
@@ -174,6 +174,17 @@ def _bench_of(runs: Sequence[Recorded], header: Mapping[str, Any], recorder: Rec
     return _Bench(done, header, sensor, alignment_of(runs), *noise_of(done, sensor.names, poles), recorder)
 
 
+def _imported(runs: Sequence[Recorded]) -> bool:
+    """Whether the runs are imported ones; BadInput for some that are and some that are not."""
+    foreign, own = [[run.name for run in runs if is_foreign(run) == kind] for kind in (True, False)]
+    if foreign and own:  # values of the one are ratios to what a manifest states, of the other volts per SI
+        raise BadInput(
+            f"{foreign[0]}: found imported data beside {own[0]}, which a bench recorded in volts, wanted either alone: "
+            "ratios to what a manifest states and volts per m/s² are not one measurand"
+        )
+    return bool(foreign)
+
+
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
     if not runs:
         raise BadInput("calibrate: found no run, wanted at least one")
@@ -186,9 +197,14 @@ def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
     return first
 
 
-def _source(records: Recorded, digest: str) -> Source:
-    procedure = str(records.header.get("procedure") or records.header["title"])
-    return Source(records.name, procedure, records.status, digest, float(records.header["started"]))
+def _sources(runs: Sequence[Recorded], digests: Mapping[str, str] | None) -> tuple[Source, ...]:
+    return tuple(
+        Source(
+            records.name, str(records.header.get("procedure") or records.header["title"]), records.status,
+            (digests or {}).get(records.name, ""), float(records.header["started"]),
+        )
+        for records in runs
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

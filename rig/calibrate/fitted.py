@@ -126,15 +126,16 @@ class Experiment:
 
     def offset(self, channel: str, parts: Sequence[int]) -> Estimate | None:
         """Zero output, V: generalised mean over some parts; None if none of them determines it."""
-        rows = [self._own(n, channel)[2] for n in parts if channel in self.fit.parts[n].channels.names]
-        rows = [row for row in rows if self._seen[row] > WHOLE]
+        there = [n for n in parts if channel in self.fit.parts[n].channels.names]
+        there = [n for n in there if self._seen[self._own(n, channel)[2]] > WHOLE]
+        rows = [int(self._own(n, channel)[2]) for n in there]
         if not rows:
             return None
         covariance = self._covariance[np.ix_(rows, rows)]
         weights = np.linalg.pinv(covariance, hermitian=True).sum(axis=0)
         weights = weights / weights.sum()
         values = [float(self.fit.state.zero[n][self.fit.parts[n].channels.names.index(channel)])
-                  for n in parts if channel in self.fit.parts[n].channels.names]  # fmt: skip
+                  for n in there]  # fmt: skip
         direction = np.zeros(self.fit.layout.size)
         direction[rows] = weights
         return self._along(float(weights @ np.array(values)), direction)
@@ -181,7 +182,8 @@ class Experiment:
         for number, first in enumerate(order.nuisances):
             extra = moved[first : first + self.fit.parts[number].extra.shape[1]]
             if len(extra) and (share := float(np.linalg.norm(extra))) > 0.0:
-                yield Pull(f"ripple of {self.fit.parts[number].name}", 1.0, share)
+                part = self.fit.parts[number]
+                yield Pull(f"{part.extra_title} of {part.name}", 1.0, share)
 
     def rows_of(self, number: int) -> slice:
         """Rows of a part."""

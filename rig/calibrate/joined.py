@@ -45,10 +45,10 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
     estimate = None if experiment is None else _estimate(experiment, result)
     if experiment is None or estimate is None or result.budget is None:
         return result
-    factor = max([1.0, *(one.ratio for one in _missed(experiment) if one.channel == result.channel)])
+    factor = max([1.0, *(one.ratio for one in missed(experiment) if one.channel == result.channel)])
     lines = tuple(_lines(result, estimate, factor))
     check = agreement.check(experiment, result.channel, estimate, direct.value, direct.u, direct.change, result.method)
-    said = [] if experiment.worst is None else [_inadequate(experiment, factor)]
+    said = [] if experiment.worst is None else [inadequate(experiment, factor)]
     if not check.agrees:
         said.append(
             f"the direct estimate lies {abs(check.delta) / check.u_delta:.1f} standard uncertainties of the difference "
@@ -84,11 +84,13 @@ def _level(experiment: Experiment, channel: str) -> Iterator[int]:
                 yield number
 
 
-def _missed(experiment: Experiment) -> list[adequacy.Group]:
+def missed(experiment: Experiment) -> list[adequacy.Group]:
+    """Groups of rows that the model misses."""
     return [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT and one.count > 1]
 
 
-def _inadequate(experiment: Experiment, factor: float) -> str:
+def inadequate(experiment: Experiment, factor: float) -> str:
+    """What the model misses most of an experiment, and by how much noise was widened for it."""
     one = experiment.worst
     assert one is not None
     widened = f"; u of the noise is widened by {factor:.2g}" if factor > 1.0 else ""
@@ -131,5 +133,5 @@ def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Resul
                         one.value, one.unit, Budget((line,)), f"model fitted to all records of the {experiment.name}",
                         "the references of those records",
                         status="determined" if experiment.worst is None else "flagged",
-                        remarks=() if experiment.worst is None else (_inadequate(experiment, 1.0),),
+                        remarks=() if experiment.worst is None else (inadequate(experiment, 1.0),),
                     )  # fmt: skip

@@ -29,6 +29,7 @@ KEY = ("sensitivity", "offset", "deviation", "noise_density", "noise_bandwidth")
 WIDEST = 6  # columns of one table
 NOTHING: Mapping[str, bytes] = MappingProxyType({})
 KINDS = (("Accelerometers", "m/s²"), ("Gyros", "rad"))
+QUANTITIES = {"acceleration": "Accelerometers", "rate": "Gyros"}
 NOT_DETERMINED, PREFIX = "n. d.", "not determined: "
 
 
@@ -161,6 +162,10 @@ def _tables(calibration: Calibration, notes: Notes) -> Iterable[dict[str, Any]]:
 
 
 def _kind(calibration: Calibration, channel: str) -> str:
+    sensor = calibration.under_test
+    sensed = sensor.channel(channel).quantity if channel in sensor else channel
+    if sensed in QUANTITIES:
+        return QUANTITIES[sensed]
     for result in (r for r in calibration.results if r.channel == channel):
         for kind, unit in KINDS:
             if unit in result.unit:

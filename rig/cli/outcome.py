@@ -111,6 +111,10 @@ def _imported_lines(records: Records) -> list[str]:
         lines += [f"  unit {made.unit.serial}: {unit}"]
     lines += [f"  from {made.provenance.source}, {made.provenance.licence}"]
     lines += [f"  {text}" for text in (made.provenance.citation, made.provenance.note) if text]
+    if (standard := made.standard) is not None:
+        known = ", ".join(filter(None, [standard.instrument, standard.serial, standard.due and f"due {standard.due}"]))
+        said = f"certificate {standard.certificate} of {standard.laboratory}{known and f' ({known})'}"
+        lines += [f"  traceable by {standard.name}, {said}"]
     lines += [f"  {t.label}: {len(t.values)} rows{', held out' if t.held_out else ''}" for t in data.tables]
     lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
     lines += [f"  found on import: {text}" for text in data.found]

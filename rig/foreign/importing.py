@@ -188,7 +188,7 @@ def _header(read: Read, runs: Runs) -> dict[str, Any]:
         "points_total": len(read.files),
         "imported": as_json(made),
         "sensor": {**made.unit.model_dump(), "channels": {}},
-        "standards": [],
+        "standards": list(_standards(made)),
         "overdue_overridden": [],
         "program": config.program_version(),
         "sources": [{"path": f.source.path, "sha256": f.sha256, "bytes": f.size} for f in read.files],
@@ -198,6 +198,13 @@ def _header(read: Read, runs: Runs) -> dict[str, Any]:
             "text": read.text.decode(),
         },
     }
+
+
+def _standards(made: Manifest) -> Iterator[dict[str, Any]]:
+    """What the manifest names, as a bench file would."""
+    if made.standard is not None:
+        stated = {key: value or "not stated" for key, value in made.standard.model_dump().items()}
+        yield {"standard": stated.pop("name"), **stated, "values": {}}
 
 
 def _point(file: File, block: str) -> dict[str, Any]:

@@ -201,6 +201,21 @@ class Gravity(Strict):
     uncertainty: Acceleration = Field(default=0.02, gt=0)
 
 
+class Standard(Strict):
+    """What the reference was calibrated against: the chain of traceability goes on with its certificate.
+
+    `name` of the reference standard, the number of its `certificate`, and the `laboratory` that gave it; `instrument`
+    and `serial` of the standard, `due` (a date) where they are known.
+    """
+
+    name: str = Field(min_length=1)
+    certificate: str = Field(min_length=1)
+    laboratory: str = Field(min_length=1)
+    instrument: str = ""
+    serial: str = ""
+    due: str = Field(default="", pattern=r"^(\d{4}-\d{2}-\d{2})?$")
+
+
 class Compared(Strict):
     """What a model is compared with: frequencies up to `rate_band` for gyros and `force_band` for accelerometers, and
     the share at the end of every record that is held out (unless a file is). Left out: what the data allow."""
@@ -228,10 +243,23 @@ class Manifest(Strict):
     gravity: Gravity = Gravity()
     mains: Frequency | None = Field(default=None, gt=0)
     compared: Compared = Compared()
+    standard: Standard | None = None
 
     def of(self, role: Role, quantity: str | None = None) -> list[Column]:
         """Columns of a role, and of a quantity if one is named."""
         return [one for one in self.columns if one.role == role and quantity in (None, one.quantity)]
+
+
+def referred_to(made: Manifest) -> str:
+    """What the device was compared with, in words, as the manifest describes it."""
+    if made.kind == "poses":
+        turns = " and turns by known angles" if any(one.turn for one in made.segments) else ""
+        return f"local gravity, {made.gravity.value:g} m/s², u = {made.gravity.uncertainty:g} m/s²{turns}"
+    named = [one for one in made.columns if one.role == "reference" and one.quantity not in ("frequency",)]
+    gains = {one.gain_uncertainty for one in made.columns if one.gain_uncertainty}
+    known = [f"u of its gain {100.0 * one:g} %" for one in sorted(gains)] or ["no uncertainty of its gain stated"]
+    columns = ", ".join(f"{one.channel} ({one.quantity})" for one in named) or "the reference of the table"
+    return f"{columns}; {', '.join(known)}"
 
 
 def load(path: Path) -> Manifest:

@@ -57,7 +57,8 @@ COLUMNS: Mapping[str, tuple[Read, ...]] = {
 FILE: Mapping[str, frozenset[str]] = {
     "time": ALL - {"response"}, "rotation": frozenset({"rotation"}), "pose": frozenset({"motion"}),
     "segments": frozenset({"poses", "rotation"}), "mains": frozenset({"sweep"}), "gravity": ALL - {"static"},
-    "gravity.uncertainty": frozenset({"poses"}), "compared": ALL - {"static", "response", "sweep"},
+    "gravity.uncertainty": frozenset({"poses"}), "standard": ALL - {"static"},
+    "compared": ALL - {"static", "response", "sweep"},
     "compared.rate_band": MOVING, "compared.force_band": MOVING, "compared.held_out": MOVING | {"poses"},
 }  # fmt: skip
 INSTEAD: Mapping[tuple[str, str], str] = {

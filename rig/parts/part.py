@@ -41,12 +41,14 @@ class Part(ABC):
 
     `instruments`: kinds of reference with effects of their own. `logged`: signals beside the motion that its records
     hold: temperature, supply, source. `formulas`: shapes of a formula that this motion may
-    show, beside those that any may. `extra` (rows, k): nuisances with a prior of one standard deviation each.
+    show, beside those that any may. `extra` (rows, k): nuisances with a prior of one standard deviation each,
+    called `extra_title`.
     """
 
     instruments: frozenset[str] = frozenset()
     logged: frozenset[str] = frozenset()
     formulas: ClassVar[tuple[str, ...]] = ()
+    extra_title: ClassVar[str] = "ripple"
 
     def __init__(
         self, name: str, run: str, channels: Channels, width: int, *, row_names: tuple[str, ...] | None = None,
@@ -99,6 +101,15 @@ class Part(ABC):
     def zeros(self) -> Array:
         """Zero outputs of its channels where a fit begins, V, (c,)."""
         return np.zeros(len(self.channels.names))
+
+    @property
+    def stated(self) -> Array:
+        """Sensitivities, V/SI, that the data's owner would call one, (c,): ratios are taken to them."""
+        return np.abs(self.channels.sensitivity)
+
+    def unstated(self) -> Iterator[Term]:
+        """What is fitted with any calibration from here because no data sheet states it."""
+        return iter(())
 
     def alike(self, other: Part) -> bool:
         """Whether another part is of the same experiment: zero outputs carry over."""

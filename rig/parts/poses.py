@@ -12,7 +12,7 @@ Gyros feel nothing at rest (Earth's rate is left in their zeros) and the mean ra
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,6 +25,7 @@ from rig.motion import Array, Motion, Response
 from rig.parts.conditions import filled, logged
 from rig.parts.part import STEP, Part
 from rig.parts.remainder import Cut, Indices, Mask
+from rig.shelf import effect_of, nothing_of
 
 GRAVITY = "gravity"
 TILT = math.radians(2.0)  # how well the axis of a turn is along that of the case, standard uncertainty of each angle
@@ -100,6 +101,7 @@ class Poses(Part):
 
     experiment = "poses"
     drawing = "poses"
+    extra_title = "local gravity"
 
     def __init__(self, data: PoseRecords) -> None:
         self.data, self.grid = data, Still()
@@ -117,6 +119,16 @@ class Poses(Part):
     @property
     def zeros(self) -> Array:
         return super().zeros if self.data.zero is None else self.data.zero
+
+    @property
+    def stated(self) -> Array:
+        """Numbers are the file's own: its sensitivities are what is stated, with their sign."""
+        return self.channels.sensitivity
+
+    def unstated(self) -> Iterator[Term]:
+        """The angles between the axes, where there are attitudes enough to tell them."""
+        if len(self._triad) and _different(self._start[:, ~self._turned]) >= PARAMETERS:
+            yield nothing_of(effect_of("non_orthogonality"), "acceleration")
 
     @property
     def observed(self) -> Array:

@@ -194,6 +194,7 @@ def swapped(body: Body) -> None:
 COUNTS = column("acc_x_g", sensitivity="1 counts per g", unit="")
 PLACED = put("rotation", "radius", to="100 mm")
 LABELLED = put("segments", 0, "up", to="-x")
+STANDARD = {"name": "encoder", "certificate": "7", "laboratory": "PTB"}
 Change = tuple[str, Callable[[Body], None], Callable[[Body], None]]  # data, before, after
 CHANGES: dict[tuple[str, str], Change] = {
     ("Manifest", "kind"): ("poses", nothing, both(put("kind", to="static"), lambda body: body.pop("segments"))),
@@ -260,11 +261,17 @@ CHANGES: dict[tuple[str, str], Change] = {
     ("Segment", "angle_uncertainty"): ("poses", nothing, put("segments", 23, "angle_uncertainty", to="5 °")),
     ("Gravity", "value"): ("poses", nothing, put("gravity", "value", to="9.81 m/s²")),
     ("Gravity", "uncertainty"): ("poses", nothing, put("gravity", "uncertainty", to="0.001 m/s²")),
+    **{("Standard", key): ("rotation", put("standard", to=STANDARD), put("standard", to={**STANDARD, key: value}))
+       for key, value in {"name": "other", "certificate": "8", "laboratory": "NIST", "instrument": "8305",
+                          "serial": "9", "due": "2028-01-01"}.items()},
     ("Compared", "rate_band"): ("rotation", nothing, put("compared", "rate_band", to="1 Hz")),
     ("Compared", "force_band"): ("rotation", nothing, put("compared", "force_band", to="0.5 Hz")),
     ("Compared", "held_out"): ("poses", nothing, put("compared", "held_out", to="10 %")),
 }  # fmt: skip
-SAID = {("Manifest", "label"), *((owner, key) for owner, key in CHANGES if owner in ("UnitUnderTest", "Provenance"))}
+SAID = {
+    ("Manifest", "label"),
+    *((owner, key) for owner, key in CHANGES if owner in ("UnitUnderTest", "Provenance", "Standard")),
+}
 ONE_VALUE = {("Manifest", "format")}
 READING = {key for key in CHANGES if key[0] == "Reading"}  # a file that is read wrongly may be refused
 
@@ -346,6 +353,7 @@ REFUSED: dict[str, tuple[str, Callable[[Body], None], str]] = {
     "a turn in a rotation": (
         "rotation", put("segments", to=[{"first": 0, "last": 9, "up": "+z", "turn": "z", "angle": "9 °"}]),
         "found 'z', wanted nothing in a rotation"),
+    "a standard at rest": ("static", put("standard", to=STANDARD), "found 'standard', wanted nothing for a static"),
     "segments of two files": (
         "poses", put("files", to=[{"path": "d.csv"}, {"path": "e.csv"}]), "found segments and 2 files"),
 }  # fmt: skip

@@ -1,0 +1,194 @@
+"""From imported runs to a calibration: somebody else's records, by the same fitted model as the bench's own.
+
+A manifest states what its numbers mean, so a sensitivity comes out as its ratio to what is stated (1: exactly as
+stated), and a zero output in m/s² or rad/s above the stated zero. What the owner states of the reference is in the
+budget, a prior a line; what nobody states is in no line, and is said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rig.archive.records import Recorded
+from rig.calibrate.budget import Budget, Contribution
+from rig.calibrate.calibration import Calibration, Result, Source, not_determined, text
+from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
+from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model
+from rig.calibrate.verdict import verdict
+from rig.errors import BadInput
+from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.fit import POLE_TOLERANCE
+from rig.foreign.manifest import SI_OF, referred_to
+from rig.foreign.tables import CONDITIONS, Foreign, foreign_of
+from rig.parts.channels import UNSTATED
+from rig.parts.part import Part
+
+SENSITIVITY = "sensitivity, ratio to what is stated"
+OFFSET = "zero output above what is stated"
+BANDWIDTH = "corner of the output filter"
+BEYOND = 0.5  # of what a data sheet's bandwidth is good for: a corner known no better is the data sheet's
+MEANING = (
+    "sensitivities are ratios to what the manifest states and offsets are above its zeros: a correction takes its "
+    "numbers in SI, (number − zero) ÷ sensitivity"
+)
+BUDGETS = "the budgets hold noise and what the manifest states: nothing of alignment, temperature and drift beyond it"
+DATES = "dates are those of the import; the manifest does not say when the records were made"
+
+
+def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], assumed: Assumed) -> Calibration:
+    """One calibration from imported runs of a unit.
+
+    Raises BadInput for runs of different units, for records that no model can be compared with, and for such that
+    determine nothing.
+    """
+    foreign, evidence = {run.name: foreign_of(run) for run in runs}, evidence_of(runs)
+    known = {term.effect.name for term in assumed.terms}
+    unstated = {t.key: t for part in evidence.parts for t in part.unstated() if t.effect.name not in known}
+    assumed = replace(assumed, terms=(*assumed.terms, *unstated.values()))
+    fits = experiments(evidence, assumed)
+    results = [result for one in fits.values() for result in _of_experiment(one, foreign, assumed)]
+    results += of_model(fits, assumed)
+    if not any(result.determined for result in results):
+        raise BadInput(f"{', '.join(evidence.runs)}: found nothing that determines a value, wanted records with motion")
+    header = runs[0].header
+    return Calibration(
+        name=name, sensor=" ".join(str(header["sensor"]["model"]).split()) or "imported unit", serial=evidence.serial,
+        made=max(entry.t for run in runs for entry in run.lines), simulated=evidence.simulated,
+        sources=tuple(sources), standards=tuple(_standards(runs)), conditions=dict(_conditions(foreign.values())),
+        results=tuple(_judged(_merged(results), _tolerances(foreign.values()))),
+        flags=tuple(dict.fromkeys([*_untraced(runs), MEANING, BUDGETS, DATES, *evidence.notes])),
+        program={key: str(value) for key, value in header["program"].items()},
+        model=assumed.said, unit=_unit(evidence, header["sensor"]),
+    )  # fmt: skip
+
+
+def _of_experiment(experiment: Experiment, foreign: Mapping[str, Foreign], assumed: Assumed) -> Iterator[Result]:
+    """Sensitivity, zero output and corner of every channel."""
+    parts = experiment.fit.parts
+    owners = dict.fromkeys(part.run for part in parts)
+    reference = "; ".join(dict.fromkeys(referred_to(foreign[run].manifest) for run in owners))
+    method = f"model fitted to all records of the {experiment.name} ({assumed.words})"
+    quantities = {one.channel: one.quantity for run in owners for one in foreign[run].manifest.of("device")}
+    for name in dict.fromkeys(name for part in parts for name in part.channels.names):
+        part = next(part for part in parts if name in part.channels.names)
+        for result in _of_channel(experiment, part, name, SI_OF.get(quantities.get(name, ""), "")):
+            yield replace(result, method=method, reference=reference) if result.determined else result
+
+
+def _of_channel(experiment: Experiment, part: Part, name: str, unit: str) -> Iterator[Result]:
+    """`unit` is that of the channel's numbers, "" where nobody states one: a zero output then has none."""
+    stated = float(part.stated[part.channels.names.index(name)])
+    found = experiment.sensitivity(name)
+    if found is None:
+        why = f"the records of the {experiment.name} do not determine it: nothing moves it, or noise leaves it open"
+        yield not_determined(name, "sensitivity", SENSITIVITY, "1", why)
+    else:
+        yield _result(experiment, name, ("sensitivity", SENSITIVITY, "1"), found, stated)
+    zero = experiment.offset(name, range(len(experiment.fit.parts)))
+    if zero is not None and zero.u_noise > 0.0 and unit:
+        yield _result(experiment, name, ("offset", OFFSET, unit), zero, stated)
+    corner = experiment.bandwidth(name)
+    if corner is not None and corner.u < BEYOND * POLE_TOLERANCE * corner.value:
+        yield _result(experiment, name, ("bandwidth", BANDWIDTH, "Hz"), corner, 1.0)
+
+
+def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found: Estimate, scale: float) -> Result:
+    """A result with its budget: noise, widened where the model leaves more than it, and a line for every prior."""
+    measurand, title, unit = what
+    channels = {one for part in experiment.fit.parts for one in part.channels.names}
+    mine = [one.ratio for one in missed(experiment) if one.channel == name or one.channel not in channels]
+    factor = max([1.0, *mine])
+    lines = [Contribution(NOISE[0], "A", "normal", factor * found.u_noise / abs(scale), unit, 1.0)]
+    called: dict[str, int] = {}
+    for pull in found.pulls:
+        if abs(pull.coefficient * pull.u) > NEGLIGIBLE * found.u:
+            label = pull.name.replace("_", " ")
+            called[label] = called.get(label, 0) + 1
+            label = label if called[label] == 1 else f"{label} ({called[label]})"
+            lines.append(Contribution(label, "B", "normal", pull.u, "1", pull.coefficient / scale, source="stated"))
+    said = () if experiment.worst is None else (inadequate(experiment, factor),)
+    return Result(
+        name, measurand, title, found.value / scale, unit, Budget(tuple(lines)), remarks=said,
+        status="flagged" if said else "determined",
+    )  # fmt: skip
+
+
+def _merged(results: Iterable[Result]) -> Iterator[Result]:
+    """Of what several experiments determine the best, with the others beside it."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.key, []).append(result)
+    for group in groups.values():
+        best, *others = sorted(group, key=lambda one: one.u if one.determined else math.inf)
+        there = [one for one in others if one.determined]
+        said = tuple(f"{one.method}: {text(one)}" for one in there)
+        apart = best.measurand == "sensitivity" and any(not _agree(best, one) for one in there)
+        said = (*(("experiments differ by more than their uncertainties",) if apart else ()), *said)
+        yield replace(best, remarks=(*best.remarks, *said), status="flagged" if apart else best.status)
+
+
+def _agree(one: Result, other: Result) -> bool:
+    assert one.value is not None
+    assert other.value is not None
+    return abs(one.value - other.value) <= 2.0 * math.hypot(one.u, other.u)
+
+
+def _judged(results: Iterable[Result], tolerances: Mapping[str, float]) -> Iterator[Result]:
+    """Sensitivities against the tolerance that a manifest states, with a guard band of U."""
+    for result in results:
+        tolerance = tolerances.get(result.channel, UNSTATED)
+        if result.measurand != "sensitivity" or result.value is None or tolerance >= UNSTATED:
+            yield result
+            continue
+        low, high = 1.0 - tolerance, 1.0 + tolerance
+        said = verdict(abs(result.value), result.expanded, low, high)
+        yield replace(result, low=low, high=high, verdict="inconclusive" if result.status == "flagged" else said)
+
+
+def _tolerances(foreign: Iterable[Foreign]) -> dict[str, float]:
+    return {one.channel: one.tolerance for data in foreign for one in data.manifest.of("device")}
+
+
+def _standards(runs: Sequence[Recorded]) -> Iterator[Mapping[str, Any]]:
+    """Standards that the manifests name, each once."""
+    seen: list[Mapping[str, Any]] = []
+    for standard in (one for run in runs for one in run.header["standards"]):
+        if standard not in seen:
+            seen.append(standard)
+            yield standard
+
+
+def _untraced(runs: Sequence[Recorded]) -> Iterator[str]:
+    for run in runs:
+        if not run.header["standards"]:
+            yield f"not traceable: the manifest of {run.name} names no standard for its reference"
+
+
+def _conditions(foreign: Iterable[Foreign]) -> Iterator[tuple[str, tuple[float, float, float]]]:
+    """Mean, lowest and highest temperature (°C) and supply (V), as far as they were logged."""
+    records = list(foreign)
+    for name in CONDITIONS:
+        logged = np.concatenate([data.condition(table, name) for data in records for table in data.tables])
+        values = logged[np.isfinite(logged)]
+        if len(values):
+            yield name, (float(values.mean()), float(values.min()), float(values.max()))
+
+
+def _unit(evidence: Evidence, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The unit as a sensor file would state it: every sensitivity is one, because ratios to it are what is told."""
+    rows: dict[str, dict[str, Any]] = {}
+    for part in evidence.parts:
+        channels = part.channels
+        for name, rate, axis, pole in zip(channels.names, channels.rates, channels.axis, channels.pole, strict=True):
+            kind, si = ("rate", "rad/s") if rate else ("acceleration", "m/s²")
+            rows[name] = {
+                "part": str(stated["model"]), "unit": "gyros" if rate else "accelerometers", "quantity": kind,
+                "axis": "xyz"[axis], "range": "", "sensitivity": f"1 V/({si})",
+                "bandwidth": f"{float(pole)!r} Hz" if math.isfinite(pole) else "1 Hz",
+            }  # fmt: skip
+    return {"sensor": str(stated["model"]), "serial": evidence.serial, "channels": rows}

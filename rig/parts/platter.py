@@ -123,22 +123,26 @@ class Platter(Part):
 
         A channel that is zero throughout stays so: a change that moves few of them costs no more than those.
         """
-        from scipy.fft import dct
-
         found = np.zeros((len(raw), self.width))
         moved = np.flatnonzero(raw.any(axis=1))
+        found[moved] = self._whitened(raw[moved], moved)
+        return found.reshape(-1)
+
+    def _whitened(self, raw: NDArray[np.inexact], rows: NDArray[np.intp]) -> Array:
+        """Windows (k, n) of these channels (k,), which may repeat, in standard deviations, (k, width)."""
+        from scipy.fft import dct
+
+        found = np.empty((len(raw), self.width))
         means, at = [], len(self.data.stretches)
         for begin, count, pieces, scale in self._together:
-            table = raw[moved, begin : begin + count * pieces].reshape(len(moved), pieces, count)
-            turned: Array = dct(np.asarray(table, np.float64), type=2, norm="ortho", axis=2, overwrite_x=True)
+            table = raw[:, begin : begin + count * pieces].reshape(len(raw), pieces, count)
+            turned: Array = dct(np.array(table, np.float64), type=2, norm="ortho", axis=2, overwrite_x=True)
             means.append(turned[..., 0] / np.sqrt(count))
-            lines = turned[..., 1:] * scale[moved]
-            found[moved, at : at + pieces * (count - 1)] = lines.reshape(len(moved), pieces * (count - 1))
+            lines = turned[..., 1:] * scale[rows]
+            found[:, at : at + pieces * (count - 1)] = lines.reshape(len(raw), pieces * (count - 1))
             at += pieces * (count - 1)
-        found[moved, : len(self.data.stretches)] = np.einsum(
-            "cst,ct->cs", self._means[moved], np.concatenate(means, axis=1)
-        )
-        return found.reshape(-1)
+        found[:, : len(self.data.stretches)] = np.einsum("cst,ct->cs", self._means[rows], np.concatenate(means, axis=1))
+        return found
 
     def noise_like(self, row: int, random: np.random.Generator, count: int) -> Array:
         """Noise as that of one channel, V, drawn so often: (count, n), nothing in windows that no stretch has.
@@ -167,11 +171,10 @@ class Platter(Part):
         half = 0.5 * self.data.interval
         return self.data.time - half, self.data.time + half
 
-    def whitened_noise(self, row: int, one: Array) -> Array:
-        """Rows of one draw, in standard deviations, (rows,)."""
-        raw = np.zeros(self.data.observed.shape)
-        raw[row] = one
-        return self.whitened(raw)
+    def felt(self, row: int, drawn: Array, influence: Array) -> Array:
+        """What an estimate with this influence of the rows, (rows,), makes of what `noise_like` drew, (count,)."""
+        mine = influence.reshape(-1, self.width)[row]
+        return np.asarray(self._whitened(drawn, np.full(len(drawn), row)) @ mine)
 
     def means_of(self, row: int, drawn: Array) -> Array:
         """Means of what `noise_like` drew, (count, n)."""

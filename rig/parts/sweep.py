@@ -192,9 +192,9 @@ class Sweep(Part):
             found.append((used, np.asarray(np.linalg.cholesky(covariance), np.float64)))
         return found
 
-    def whitened_noise(self, row: int, one: Complexes) -> Array:
-        """Rows of one draw, in standard deviations, (rows,)."""
-        return self.whitened(one)
+    def felt(self, row: int, drawn: Complexes, influence: Array) -> Array:
+        """What an estimate with this influence of the rows, (rows,), makes of what `noise_like` drew, (count,)."""
+        return np.asarray(influence @ self.whitened(drawn))
 
     def spans(self) -> tuple[Array, Array]:
         """Begin and end (bench clock, s) of every mean, (p,)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
@@ -11,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import in_process
 import pytest
 
 from rig.bench import control
@@ -34,10 +34,10 @@ class Command:
 
     @property
     def words(self) -> list[str]:
-        """The words as a shell would split them, with `rig` from this environment."""
+        """The words behind `rig` as a shell would split them."""
         rig, *rest = shlex.split(self.text)
         assert rig == "rig"
-        return [sys.executable, "-m", "rig", *rest]
+        return rest
 
 
 def commands(page: str) -> Iterator[Command]:
@@ -64,16 +64,11 @@ def targets(page: Path) -> Iterator[str]:
             yield target.partition("#")[0]
 
 
-def environment(folder: Path) -> dict[str, str]:
-    """The environment of a reader who keeps runs in a folder of their own."""
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
-    return {**ours, "RIG_RUNS": str(folder / "runs"), "OPENBLAS_NUM_THREADS": "1"}
-
-
 def prose(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     "page", [page for page in RUNNABLE if any(commands(page.read_text(encoding="utf-8")))], ids=prose
 )
@@ -82,9 +77,7 @@ def test_every_command_of_a_page_ends_as_the_page_says(page: Path, tmp_path: Pat
     write_files(text, tmp_path)
     try:
         for command in commands(text):
-            done = subprocess.run(
-                command.words, cwd=tmp_path, env=environment(tmp_path), capture_output=True, text=True, timeout=60
-            )
+            done = in_process.rig(*command.words, folder=tmp_path, RIG_RUNS=str(tmp_path / "runs"))
             said = f"{prose(page)}:{command.line}: {command.text}\n{done.stdout}{done.stderr}"
             assert done.returncode == command.code, said
     finally:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 
+import in_process
 import pytest
 
 from rig.archive.runs import Runs
@@ -31,13 +30,7 @@ KNOWN = {
 
 
 def rig(runs: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *arguments, "--runs", str(runs)],
-        capture_output=True,
-        text=True,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
+    done = in_process.rig(*arguments, "--runs", str(runs))
     assert done.returncode == 0, (done.returncode, done.stdout[-2000:], done.stderr[-2000:])
     return done.stdout
 

@@ -133,11 +133,11 @@ def rotation(records: Recorded) -> Figure | None:
 
 def density(records: Recorded) -> Figure | None:
     """Noise density of the sensors at rest."""
-    from scipy.signal import welch
-
     bodies = [e.body for e in records.lines if e.kind == "point" and e.body.get("purpose") == "noise"]
     if not bodies:
         return None
+    from scipy.signal import welch
+
     figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: noise density at the converter")
     samples = records.samples(bodies[0]["samples"])
     rate = samples.timing.scan_rate

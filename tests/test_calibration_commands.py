@@ -16,7 +16,7 @@ from rig.bench import control
 
 def rig(runs: Path, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, capture_output=True, text=True)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ def rig(folder: Path, *words: str, wanted: int = 0) -> subprocess.CompletedProce
     environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
     environment |= {"RIG_RUNS": str(folder / "runs"), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "rig", *words], capture_output=True, text=True, timeout=100, env=environment,
+        [sys.executable, "-m", "rig", *words], capture_output=True, text=True, env=environment,
         cwd=folder, check=False,
     )  # fmt: skip
     assert done.returncode == wanted, (words, done.stdout[-1500:], done.stderr[-1500:])

@@ -32,7 +32,7 @@ HIDDEN = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficie
 def rig(runs: Path, *words: str, wanted: int = 0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == wanted, (words, done.stdout[-1500:], done.stderr[-1500:])
     assert "Traceback" not in done.stderr
     return done

@@ -121,7 +121,7 @@ class Bench:
         self.thread.start()
         self.line = Line(self.twin, lambda: None)
         self.sent: list[bytes] = []
-        settings = {"decoder": "OVD-01", "timeout": "200 ms"} | settings
+        settings = {"decoder": "OVD-01", "timeout": "2 s"} | settings
         values = Settings.model_validate({"address": self._open(kind), **settings})
         self.ldv = ofv3001.connect("ldv", values, Room(clock=self, operator=self, transcript=self))
 
@@ -146,12 +146,12 @@ class Bench:
         """Let time pass once everything that was sent has been heard: the line and this clock are two ways."""
 
         async def pass_time() -> None:
-            over = self.loop.time() + 2.0
+            over = self.loop.time() + 10.0
             while self.twin.heard < sum(map(len, self.sent)) and self.loop.time() < over:
                 await asyncio.sleep(0)
             self.world.advance(seconds)
 
-        asyncio.run_coroutine_threadsafe(pass_time(), self.loop).result(10)
+        asyncio.run_coroutine_threadsafe(pass_time(), self.loop).result(60)
 
     def ask(self, request: Request) -> Confirmation:
         raise AssertionError("nobody is asked")

@@ -26,7 +26,6 @@ def rig(runs: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         stdin=subprocess.DEVNULL,
-        timeout=60,
         check=False,
     )
 

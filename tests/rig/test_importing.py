@@ -90,14 +90,14 @@ def test_bytes_that_are_no_such_file_are_refused(form: foreign_files.Format, raw
 
 
 def test_a_big_text_file_is_read_within_a_second(tmp_path: Path) -> None:
-    import time
+    import time  # the processor's: others may keep it busy
 
     data = {name: np.random.default_rng(0).normal(size=40_000) for name in "abcdefg"}
     raw = made.csv_bytes(data)
-    begun = time.perf_counter()
+    begun = time.process_time()
     columns(raw, "csv", ["a", "g"])
     assert len(raw) > 5_000_000
-    assert time.perf_counter() - begun < 2.0
+    assert time.process_time() - begun < 2.0
 
 
 # ---- runs

@@ -273,7 +273,7 @@ def _estimates(
         yield f"eq. 8, least squares, up to {quarter:g} Hz", _line_sensitivity(name, low)
     nearest = min(points, key=lambda p: (abs(p.frequency - CROSS_AXIS), -p.peak))
     for records in runs:
-        if records.name == nearest.run:
+        if records.name == nearest.run and nearest.index in records.points:
             value = _integrated_sensitivity(name, nearest, records)
             yield f"eq. 6, record integrated, {nearest.frequency:.0f} Hz", value
 

@@ -37,6 +37,7 @@ MEANING = (
     "numbers in SI, (number − zero) ÷ sensitivity"
 )
 BUDGETS = "the budgets hold noise and what the manifest states: nothing of alignment, temperature and drift beyond it"
+HELD_OUT = "values stand on all records, those too that are held out from a diagnosis"
 DATES = "dates are those of the import; the manifest does not say when the records were made"
 
 
@@ -49,6 +50,7 @@ def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], 
     foreign, evidence = {run.name: foreign_of(run) for run in runs}, evidence_of(runs)
     known = {term.effect.name for term in assumed.terms}
     unstated = {t.key: t for part in evidence.parts for t in part.unstated() if t.effect.name not in known}
+    model = "; besides, as no data sheet states it: ".join([assumed.said, *filter(None, [", ".join(unstated)])])
     assumed = replace(assumed, terms=(*assumed.terms, *unstated.values()))
     fits = experiments(evidence, assumed)
     results = [result for one in fits.values() for result in _of_experiment(one, foreign, assumed)]
@@ -61,9 +63,9 @@ def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], 
         made=max(entry.t for run in runs for entry in run.lines), simulated=evidence.simulated,
         sources=tuple(sources), standards=tuple(_standards(runs)), conditions=dict(_conditions(foreign.values())),
         results=tuple(_judged(_merged(results), _tolerances(foreign.values()))),
-        flags=tuple(dict.fromkeys([*_untraced(runs), MEANING, BUDGETS, DATES, *evidence.notes])),
+        flags=tuple(dict.fromkeys([*_untraced(runs), MEANING, BUDGETS, HELD_OUT, DATES, *evidence.notes])),
         program={key: str(value) for key, value in header["program"].items()},
-        model=assumed.said, unit=_unit(evidence, header["sensor"]),
+        model=model, unit=_unit(evidence, header["sensor"]),
     )  # fmt: skip
 
 

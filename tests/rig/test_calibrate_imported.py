@@ -141,6 +141,7 @@ def test_the_exported_module_undoes_what_the_unit_does(tmp_path: Path, kind: str
 def test_a_standard_that_the_manifest_names_makes_the_chain(tmp_path: Path) -> None:
     made = calibrated(tmp_path, KINDS["poses"].made(1), standard=Standard(**STANDARD))
     assert not any("not traceable" in flag for flag in made.flags)
+    assert made.model == "data sheet; besides, as no data sheet states it: non_orthogonality (acceleration)"
     whole = xml(made)
     assert b"PTB-7" in whole
     _validate(whole)

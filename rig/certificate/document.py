@@ -38,6 +38,7 @@ class Document:
     begun: str
     ended: str
     simulated: bool
+    laboratory: str
     model: str
     agreement: str
     methods: tuple[str, ...]
@@ -63,6 +64,8 @@ def document(calibration: Calibration) -> Document:
         begun=_date(min(starts)),
         ended=_date(calibration.made),
         simulated=calibration.simulated,
+        laboratory=f"not stated; {'records imported into' if _imported(calibration) else 'bench controlled by'} the "
+        "program below",
         model=flat(calibration.model),
         agreement=calibration.agreement,
         methods=tuple(dict.fromkeys(r.method for r in calibration.results if r.method)),
@@ -72,6 +75,11 @@ def document(calibration: Calibration) -> Document:
         missing=tuple((r.channel, r.title, _remarks(r)) for r in calibration.results if not r.determined),
         program=_program(calibration.program),
     )
+
+
+def _imported(calibration: Calibration) -> bool:
+    """Whether somebody else measured: the program only read the records."""
+    return any(source.procedure == "import" for source in calibration.sources)
 
 
 def identifier(calibration: Calibration) -> str:

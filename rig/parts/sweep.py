@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,8 @@ class Sweep(Part):
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
         self._moved: dict[tuple[object, ...], Motion] = {}
+        # noise, its rows, and the generator's state behind it, by its state before
+        self._drawn: dict[str, tuple[Complexes, Array, Mapping[str, Any]]] = {}
 
     @property
     def drawing(self) -> str:
@@ -163,8 +165,17 @@ class Sweep(Part):
         """Noise of all channels that a channel is compared with, V, drawn so often: (count, c, p, LINES).
 
         That of the reference, which all channels along the drive share, is in the lines of each; there is none where
-        there is no observation.
+        there is no observation. All channels are asked with the same generator: what it draws is drawn once.
         """
+        before = repr((random.bit_generator.state, count))
+        if before not in self._drawn:
+            self._drawn.clear()
+            found = self._draw(random, count)
+            self._drawn[before] = found, self.whitened(found), random.bit_generator.state
+        drawn, _, random.bit_generator.state = self._drawn[before]
+        return drawn
+
+    def _draw(self, random: np.random.Generator, count: int) -> Complexes:
         data = self.data
         good = data.usable[..., None] & np.isfinite(data.variance)
         sigma = np.where(good, np.sqrt(np.nan_to_num(data.variance)), 0.0)
@@ -194,7 +205,9 @@ class Sweep(Part):
 
     def felt(self, row: int, drawn: Complexes, influence: Array) -> Array:
         """What an estimate with this influence of the rows, (rows,), makes of what `noise_like` drew, (count,)."""
-        return np.asarray(influence @ self.whitened(drawn))
+        known = (rows for mine, rows, _ in self._drawn.values() if mine is drawn)
+        rows = next(known, None)
+        return np.asarray(influence @ (self.whitened(drawn) if rows is None else rows))
 
     def spans(self) -> tuple[Array, Array]:
         """Begin and end (bench clock, s) of every mean, (p,)."""

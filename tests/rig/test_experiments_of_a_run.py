@@ -60,15 +60,20 @@ def apart(mixed: fast_bench.MemoryRecords) -> list[fast_bench.MemoryRecords]:
     return found
 
 
+@pytest.fixture(scope="module")
+def whole(mixed: fast_bench.MemoryRecords) -> Calibration:
+    return calibrate([mixed], "one")
+
+
 def everything(made: Calibration) -> str:
     """All that was concluded, whatever the runs are called."""
     return re.sub(r"(seed-5-sequence)-\d", r"\1", repr((made.results, made.responses, made.paper, made.conditions)))
 
 
 def test_a_mixed_run_gives_the_same_calibration_as_its_experiments_as_runs_of_their_own(
-    mixed: fast_bench.MemoryRecords, apart: list[fast_bench.MemoryRecords]
+    whole: Calibration, apart: list[fast_bench.MemoryRecords]
 ) -> None:
-    whole, pieces = calibrate([mixed], "one"), calibrate(apart, "one")
+    pieces = calibrate(apart, "one")
     assert everything(whole) == everything(pieces)
     for key in ("unit_a_x.sensitivity", "unit_c_z.sensitivity", "unit_b_y.sensitivity_gravity", "unit_a_x.offset",
                 "gyro_pitch.asymmetry", "backup_yaw.sensitivity", "gyro_yaw.deviation_in_motion"):  # fmt: skip
@@ -105,8 +110,8 @@ def test_a_run_written_before_experiments_were_on_record_is_read_the_same(mixed:
     assert [set(one.points) for one in found] == [set(one.points) for one in experiments(mixed)]
 
 
-def test_every_experiment_is_drawn(mixed: fast_bench.MemoryRecords, tmp_path: Any) -> None:
-    drawn = draw(mixed, calibrate([mixed], "one"), tmp_path)  # type: ignore[arg-type]
+def test_every_experiment_is_drawn(mixed: fast_bench.MemoryRecords, whole: Calibration, tmp_path: Any) -> None:
+    drawn = draw(mixed, whole, tmp_path)  # type: ignore[arg-type]
     assert [path.stem for path in drawn] == ["response", "rotation", "rotation-2", "noise", "poses"]
 
 

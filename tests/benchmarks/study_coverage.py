@@ -89,6 +89,8 @@ def one_world(seed: int) -> list[Row]:
         for measurand, truth in truths.items():
             result = made.result(f"{channel}.{measurand}")
             rows.append(_row(f"{unit} {measurand}", result, truth, bounds.get(result.key, math.nan)))
+            if (one := result.check) is not None:  # the direct estimate: Δ in units of u(Δ), two of which 95 % keep
+                rows.append((f"{unit} {measurand}, Δ", one.delta / one.u_delta, math.nan, one.agrees))
     return rows
 
 
@@ -152,9 +154,11 @@ def test_the_truth_lies_inside_the_stated_intervals_as_often_as_they_say() -> No
         inside = sum(row[3] for row in rows)
         spread, ratio = float(np.sqrt(np.mean([r[1] ** 2 for r in rows]))), float(np.median([r[2] for r in rows]))
         bias = float(np.mean([r[1] for r in rows]))
-        print(f"  {quantity:<20} {inside:>4} inside  error/u: mean {bias:+.2f} rms {spread:.2f}  u/bound {ratio:.3f}")
+        print(f"  {quantity:<24} {inside:>4} inside  error/u: mean {bias:+.2f} rms {spread:.2f}  u/bound {ratio:.3f}")
         # a zero output has no true value apart from flicker of no lowest frequency: shown, not judged
-        outside += [] if low <= inside <= high or "offset" in quantity else [quantity]
+        # u(Δ) has a tenth of slack in it, so more than 95 % may agree
+        fine = low <= inside <= high or "offset" in quantity or (quantity.endswith("Δ") and inside >= low)
+        outside += [] if fine else [quantity]
         wide += [quantity] if ratio > 1.2 else []
     assert not outside, f"coverage outside the band: {outside}"
     assert not wide, f"wider than 1.2 times the bound: {wide}"

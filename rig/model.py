@@ -280,7 +280,6 @@ def volts(
     `motion` is true already as far as the reference goes (see `shaken` and `turned`), and the terms act at its place.
     `before` holds the observed volts of the slot before each channel, for what the multiplexer leaves.
     """
-    terms = [term for term in terms if term.effect.shows(motion.place)]
     for term in terms:
         motion = term.effect.motion(motion, term.at)
     signal = motion.grid.observed(_transduced(motion, channels, terms), _response(channels, local, terms, motion.grid))

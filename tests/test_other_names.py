@@ -182,8 +182,17 @@ def test_one_accelerometer_and_one_gyro_have_the_numbers_that_they_have_among_fi
     )
     assert {key.partition(".")[0] for key in few} == set(ALONE)
     for key, row in few.items():
-        pooled = ("k", "expanded") if "poses" in row["method"] else ()  # degrees of freedom of a unit's axes together
-        same(*({name: value for name, value in one.items() if name not in pooled} for one in (many[key], row)))
+        mine = many[key]
+        assert (row["status"], row["unit"], row["method"]) == (mine["status"], mine["unit"], mine["method"])
+        if row["value"] is None:
+            same(mine, row)
+        elif row["method"].startswith("model fitted"):
+            # among fifteen the others say something of the reference's noise; the direct estimate knows none of them
+            assert abs(row["value"] - mine["value"]) < 0.6 * row["u"], key
+            same(mine["check"]["value"], row["check"]["value"])
+        else:  # noise is referred to the input by the sensitivity
+            assert abs(row["value"] - mine["value"]) < 0.05 * row["u"], key
+            assert row["u"] == pytest.approx(mine["u"], rel=1e-3)
     assert f"{ALONE[0]}.sensitivity_gravity" in few
 
 

@@ -38,7 +38,7 @@ def turn() -> Evidence:
 
 
 def test_a_sweep_has_one_figure_in_svg_and_png(sweep: Evidence, tmp_path: Path) -> None:
-    paths = draw(sweep, sweep.fitted(), tmp_path / "figures")
+    paths = draw(sweep, sweep.fitted(), tmp_path / "figures", ("svg", "png"))
     assert [path.name for path in paths] == ["misfit_shaker.svg", "misfit_shaker.png"]
     assert paths[0].read_text(encoding="utf-8").startswith("<?xml")
     assert paths[1].read_bytes().startswith(b"\x89PNG")

@@ -35,7 +35,7 @@ from rig.effects.quantisation import Quantisation
 from rig.effects.random_walk import RandomWalk
 from rig.effects.spur import Spur
 from rig.effects.white import White
-from rig.model import Channels, Effect, Local, Motion, Periods, Stretches, Term, volts
+from rig.model import Channels, Effect, Local, Motion, Periods, Stretches, Term, at_work, volts
 from rig.motion import ORDERS, PHASES
 
 DYNAMICS: list[Effect] = [ButterworthFilter(), BesselFilter(), MovingAverage(), Delay(), HighPass()]
@@ -242,7 +242,8 @@ def test_at_zero_nothing_is_changed(effect: Effect) -> None:
     local = Local(np.array([0.1, 0.2, 0.3]), np.array([400.0, 500.0, 600.0]), np.array([1.0, 2.0, 3.0]))
     before = volts(motion, some, local, [])[[2, 0, 1]]
     assert isinstance(motion.grid, Periods)
-    assert np.allclose(volts(motion, some, local, [Term(effect, on, zero)], before), volts(motion, some, local, []))
+    terms = at_work([Term(effect, on, zero)], motion.place, "a run")
+    assert np.allclose(volts(motion, some, local, terms, before), volts(motion, some, local, []))
     assert np.allclose(effect.shaken(motion.along, motion.grid.harmonics, motion.scale, zero), motion.along)
     assert not np.any(effect.turned(np.arange(3.0), zero))
 

@@ -26,7 +26,7 @@ from rig.effects.supply_ratio import SupplyRatio
 from rig.effects.temperature_bias import TemperatureBias
 from rig.effects.transverse_motion import TransverseMotion
 from rig.effects.warm_up import WarmUp
-from rig.model import Array, Channels, Effect, Local, Motion, Periods, Quantity, Stretches, Term, volts
+from rig.model import Array, Channels, Effect, Motion, Periods, Quantity, Stretches, Term, at_work
 from rig.motion import FINE, PHASES
 
 G = 10.0  # m/s², easy to reckon with
@@ -274,21 +274,18 @@ def test_an_effect_of_no_size_needs_no_frequency_and_no_time(effect: Effect) -> 
     assert not effect.output(np.zeros((1, 1, 6)), np.zeros((1, 1)), motion, channels(0), at)[1].any()
 
 
-def nothing_moves(effect: Effect, motion: Motion) -> bool:
-    """Whether the model of one channel gives the same with an effect of any size."""
-    local, on = Local(np.ones(1), np.full(1, 1e3), np.zeros(1)), effect.quantities[0] if effect.quantities else None
-    term = Term(effect, on, {c.name: 1.0 for c in effect.coordinates})
-    return bool(np.array_equal(volts(motion, channels(0), local, [term]), volts(motion, channels(0), local, [])))
-
-
 @pytest.mark.parametrize("effect", [GravityTilt(), Rocking(), TransverseMotion(), Hysteresis()])
 def test_the_shaker_is_not_on_the_turntable(effect: Effect) -> None:
-    assert nothing_moves(effect, turned(1.0))
+    term = Term(effect, None, {c.name: 1.0 for c in effect.coordinates})
+    assert at_work([term], "turntable", "a run") == []
+    assert at_work([term], "shaker", "a run") == [term]
 
 
 @pytest.mark.parametrize("effect", [PlatenTilt(), LeverArm(), AxisOffset()])
 def test_the_turntable_is_not_on_the_shaker(effect: Effect) -> None:
-    assert nothing_moves(effect, shaken(80.0))
+    term = Term(effect, None, {c.name: 1.0 for c in effect.coordinates})
+    assert at_work([term], "shaker", "a run") == []
+    assert at_work([term], "turntable", "a run") == [term]
 
 
 def test_an_arm_is_read_as_length_and_direction_from_z_towards_x() -> None:

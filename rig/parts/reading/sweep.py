@@ -32,7 +32,7 @@ from rig.signals.spectrum import Density
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-LONGEST = 60.0  # s of a record at rest that are looked at
+LONGEST = 5.0  # s of a record at rest that a model is compared with; all of it says how noisy a channel is
 OUTSTANDING = 6.0  # robust standard deviations: one sample in 10⁹ of normal noise
 FEW = 1e-9  # share of samples that may stand out
 GATINGS = 3

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from rig.correction.inverse import (
     NEXT,
+    SI,
     Added,
     Bend,
     Drift,
@@ -41,7 +42,6 @@ from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
 
 Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
 Values = Mapping[str, float]
-SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
 # kinds of experiment: the rig's own two, and imported ones: turned about one axis, moved freely, poses against gravity
 EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")

@@ -11,7 +11,7 @@ to the bench, or that what it does is `Lost`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -23,6 +23,8 @@ Complexes = NDArray[np.complex128]
 Quantity = Literal["acceleration", "rate"]
 Condition = Literal["", "temperature", "supply", "time"]
 Expression = float | str | tuple[Any, ...]  # see `rig.correction.expression`
+AXES = "xyz"
+SI: Mapping[str, str] = {"acceleration": "m/s²", "rate": "rad/s"}
 UNITS = {"temperature": "°C", "supply": "V", "time": "s"}
 
 MOST = 80  # steps of an iteration: halving alone would do in these

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from rig.correction.correction import CONDITIONS, UNSETTLED, Correction, Written
+from rig.correction.correction import Correction
+from rig.correction.coupling import CONDITIONS, UNSETTLED, Written
 from rig.correction.expression import in_c
 from rig.correction.inverse import Drift
 from rig.export.correction_numbers import (
@@ -174,7 +175,7 @@ def _root(write: _Writer) -> list[str]:
 
 
 def _sign(write: _Writer, correction: Correction) -> list[str]:
-    if not any("sign" in str(one.expression) for one in correction.written):
+    if not any("sign" in str(one.expression) for one in correction.coupling.written):
         return []
     return [f"static inline double {write.p}_sign(double x) {{ return (x > 0.0) - (x < 0.0); }}", ""]
 
@@ -186,8 +187,8 @@ def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers
     yield f"static inline void {write.p}_separate(const {r} felt[{count}], const {r} rise[{count}], {r} temperature,"
     yield f"                                      {r} supply, {r} time, {r} out[{count}])"
     yield "{"
-    yield f"    {r} seen[{count}], left[{count}]{f', before[{count}]' if correction.written else ''};"
-    yield f"    int n, pass = {correction.passes};"
+    yield f"    {r} seen[{count}], left[{count}]{f', before[{count}]' if correction.coupling.written else ''};"
+    yield f"    int n, pass = {correction.coupling.passes};"
     yield "    (void)rise; (void)temperature; (void)supply; (void)time;"
     yield f"    for (n = 0; n < {count}; ++n) seen[n] = felt[n];"
     for number, one in enumerate(channels):
@@ -202,20 +203,20 @@ def _separate(write: _Writer, correction: Correction, channels: Sequence[Numbers
     for number, row in enumerate(rows_apart(correction)):
         terms = " + ".join(f"{write.number(share)} * left[{k}]" for k, share in row)
         yield f"        out[{number}] = {terms};"
-    if correction.written:
+    if correction.coupling.written:
         yield f"        if (pass <= 0) for (n = 0; n < {count}; ++n) if (!(fabs(out[n] - before[n])"
         yield f"            <= {UNSETTLED!r} * (1.0 + fabs(out[n])))) out[n] = NAN;"
     yield "        if (pass-- <= 0) break;"
-    if correction.written:
+    if correction.coupling.written:
         yield f"        for (n = 0; n < {count}; ++n) before[n] = out[n];"
     yield f"        for (n = 0; n < {count}; ++n) left[n] = seen[n];"
-    for felt in correction.felt:
+    for felt in correction.coupling.felt:
         share, into = write.number(felt.share), f"left[{felt.channel}]"
         if felt.second is None:
             yield f"        if (rise) {into} -= {share} * rise[{felt.first}];"
         else:
             yield f"        {into} -= {share} * out[{felt.first}] * out[{felt.second}];"
-    for written in correction.written:
+    for written in correction.coupling.written:
         more = in_c(written.expression, _signals(write, written))
         yield f"        left[{written.channel}] -= ({r})({more});"
     yield "    }"

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rig.correction.correction import SI, Correction
-from rig.correction.dynamics import Taps
-from rig.correction.inverse import Bend, Drift, Half
+from rig.correction.chain import Chain
+from rig.correction.correction import Correction
+from rig.correction.inverse import SI, Bend, Drift, Half
 from rig.errors import BadInput
 from rig.export.identifiers import identifiers
 from rig.export.selection import one_line
@@ -41,26 +41,25 @@ def numbers_of(correction: Correction, rate: float | None) -> list[Numbers]:
         raise BadInput(f"export --rate: found {rate}, wanted samples per second above 0")
     if not correction.channels:
         raise BadInput("export --model: found no channel, wanted at least one")
-    return [_numbers(correction, c, rate) for c in range(len(correction.channels))]
+    return [_numbers(chain, rate) for chain in correction.chains]
 
 
-def _numbers(correction: Correction, c: int, rate: float | None) -> Numbers:
-    channel = correction.channels[c]
+def _numbers(chain: Chain, rate: float | None) -> Numbers:
+    channel = chain.channel
     if not channel.sensitivity or not math.isfinite(channel.sensitivity):
         raise BadInput(f"export --model: found a sensitivity of {channel.sensitivity} of {channel.name}, wanted one")
-    filtered = rate is not None and correction.filtered(c)
-    found: Taps | None = correction.taps(c, rate) if filtered and rate is not None else None
+    found = chain.taps(rate) if chain.filtered and rate is not None else None
     return Numbers(
         channel.name, channel.quantity, SI[channel.quantity], channel.sensitivity, channel.zero,
-        channel.u_sensitivity, channel.u_zero, correction.lag(channel.name) if correction.filtered(c) else 0.0,
-        tuple(correction.drifts(c)), tuple(correction.bends(c)), found.ahead if found else 0,
+        channel.u_sensitivity, channel.u_zero, chain.lag if chain.filtered else 0.0,
+        chain.drifts, chain.bends, found.ahead if found else 0,
         tuple(float(tap) for tap in found.taps) if found else ONE,
     )  # fmt: skip
 
 
 def rows_apart(correction: Correction) -> list[list[tuple[int, float]]]:
     """A⁻¹ without its zeros: (column, share) of every row."""
-    return [[(k, float(share)) for k, share in enumerate(row) if share] for row in correction.inverse]
+    return [[(k, float(share)) for k, share in enumerate(row) if share] for row in correction.coupling.inverse]
 
 
 def half(of: Half) -> tuple[float, float, float, float, float]:

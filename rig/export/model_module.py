@@ -28,15 +28,15 @@ def files(correction: Correction, rate: float | None = None) -> dict[str, bytes]
 
 
 def _texts(correction: Correction, channels: list[Numbers], rate: float | None) -> dict[str, str]:
-    felt = [(one.channel, one.first, one.second, one.share) for one in correction.felt]
+    felt = [(one.channel, one.first, one.second, one.share) for one in correction.coupling.felt]
     provenance = {"unit": correction.unit, "simulated": correction.simulated, "notes": heading(correction)}
     return {
         "PROVENANCE": literal(provenance),
         "CHANNELS": literal({one.name: _channel(one) for one in channels}),
         "APART": repr(rows_apart(correction)),
         "FELT": repr(felt),
-        "WRITTEN": repr([(one.channel, one.expression, dict(one.sources)) for one in correction.written]),
-        "PASSES": repr(correction.passes),
+        "WRITTEN": repr([(one.channel, one.expression, dict(one.sources)) for one in correction.coupling.written]),
+        "PASSES": repr(correction.coupling.passes),
         "RATE": repr(None if rate is None else float(rate)),
         "NOT_UNDONE": repr(stays(correction, rate)),
     }

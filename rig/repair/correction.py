@@ -7,7 +7,9 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rig.correction.correction import AXES, Channel, Correction, Undone
+from rig.correction.chain import Channel, Undone
+from rig.correction.correction import Correction
+from rig.correction.inverse import AXES
 from rig.errors import BadInput
 from rig.model import Effect
 from rig.repair.model_file import ChannelEntry, Model, load, terms_of

@@ -18,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.cli import cli
-from rig.correction.correction import Channel, Correction, Undone
+from rig.correction.chain import Channel, Undone
+from rig.correction.correction import Correction
 from rig.correction.inverse import Quantity
 from rig.errors import BadInput
 from rig.export import write_model
@@ -106,7 +107,7 @@ def test_single_samples_and_nominal_conditions_too(tmp_path: Path) -> None:
                                 "unit.uncertainty('α', 2.0), unit.NOT_UNDONE, unit.PROVENANCE]))")  # fmt: skip
     wanted = correction().apply(volts()[:, 7])
     np.testing.assert_allclose(list(found[0].values()), wanted.array, rtol=1e-12)
-    assert found[1] == pytest.approx(float(correction().uncertainty("α", np.asarray(2.0))))
+    assert found[1] == pytest.approx(float(correction().chain("α").uncertainty(np.asarray(2.0))))
     assert any(one.startswith("hysteresis: not undone, the output depends") for one in found[2])
     assert found[3]["simulated"] is True
     assert found[3]["notes"][0].startswith("SIMULATED")

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.correction.correction import Channel, Correction, Undone, counts_to_volts
+from rig.correction.chain import Channel, Undone
+from rig.correction.correction import Correction, counts_to_volts
 from rig.correction.dynamics import taps
 from rig.correction.inverse import Bend
 from rig.errors import BadInput
@@ -182,7 +183,7 @@ def test_a_filter_is_undone_in_its_band_within_what_it_states(name: str, frequen
     one, moved = term(name, on, **DYNAMIC[name]), slow_motion(frequency)
     whole = correction([one], pole=200.0)
     found = whole.apply(shown(moved, [one], pole=200.0), rate=RATE)
-    stated = whole.taps(0, RATE)
+    stated = whole.chains[0].taps(RATE)
     assert frequency < stated.band
     assert stated.error < 0.01
     away = slice(200, -200)  # from the ends, beyond which nothing is known
@@ -196,7 +197,7 @@ def test_a_filter_is_undone_in_its_band_within_what_it_states(name: str, frequen
 def test_a_skew_of_the_scan_is_a_shift_in_time_by_slot() -> None:
     one = term("channel_skew", extra=1e-5)
     whole = correction([one])
-    assert [whole.lag(name) for name in NAMES] == pytest.approx([-1e-5 * slot for slot in range(6)], abs=1e-12)
+    assert [one.lag for one in whole.chains] == pytest.approx([-1e-5 * slot for slot in range(6)], abs=1e-12)
 
 
 def test_what_rests_comes_out_exactly_whatever_the_filters_are() -> None:

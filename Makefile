@@ -9,7 +9,7 @@ export UV_PYTHON_DOWNLOADS = never
 # The machine's own certificates: a laboratory network may have its own authority.
 export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: demo test check bench study blind real-data effects lock clean
+.PHONY: demo test check bench study blind real-data pages lock clean
 
 $(UV):
 	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
@@ -57,9 +57,8 @@ blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, s
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)
 	@$(V)/bin/python tests/real_data.py --data $(or $(DATA),../shared/data)
 
-effects: $(V)/.run ## docs/reference/effects.md from the files in rig/effects
-	@env -u RIG_EFFECTS $(V)/bin/rig effects --markdown > docs/reference/effects.md.new
-	@mv docs/reference/effects.md.new docs/reference/effects.md
+pages: $(V)/.dev ## commands, effects and schemas under docs/reference, from the code
+	@env -u RIG_EFFECTS $(V)/bin/python tests/pages.py
 
 lock: $(UV) ## renew the hashed locks (names no registry)
 	@$(UV) lock -q

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pages
 import pytest
 
 from rig.bench import control
@@ -39,6 +40,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def test_every_value_has_its_uncertainty_and_every_gap_its_reason(runs: Path) -> None:
     said = json.loads((runs / "first.json").read_text())
+    pages.assert_shown(said, pages.examples("rig calibrate")[0])
     assert said["simulated"] is True
     assert len(said["runs"]) == 3
     for result in said["results"]:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pages
 import pytest
 
 from rig.archive.runs import Runs
@@ -81,8 +82,12 @@ def test_a_short_sweep_finds_the_sensitivities_and_keeps_a_sound_run(bench: Benc
     # 0.5 % scatter of the sensors and 1 % (k = 2) of the vibrometer's gain
     assert values["unit_a_x"] == pytest.approx(0.650, rel=0.03)
     assert values["unit_c_x"] == pytest.approx(0.097, rel=0.05)
-    assert bench.json("verify", "last")["sound"]
-    assert bench.json("show", "last")["run"] == found["run"]
+    sound, shown = bench.json("verify", "last"), bench.json("show", "last")
+    assert sound["sound"]
+    assert shown["run"] == found["run"]
+    for said, example in ((sound, pages.examples("rig verify")[0]), (shown, pages.examples("rig show")[0])):
+        pages.assert_shown(said, example)
+    pages.assert_shown(found, shown | pages.examples("rig sweep")[0])
     assert [row["run"] for row in bench.json("runs")] == [found["run"]]
     assert all(Path(path).stat().st_size > 5000 for path in found["figures"])
     header = Runs(bench.runs).open("last").header
@@ -250,4 +255,5 @@ def test_the_bench_is_found_and_has_nothing_to_reveal(bench: Bench) -> None:
     found = bench.json("bench", "check")
     assert {row["role"] for row in found["instruments"]} >= {"analyzer", "scope", "recorder", "vibrometer", "cube"}
     assert not any(row["error"] for row in found["instruments"])
+    pages.assert_shown(found, pages.examples("rig bench check")[0])
     assert bench.json("bench", "reveal") == {"effects": []}

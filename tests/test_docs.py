@@ -1,11 +1,9 @@
-"""The documentation says what is true: its commands run, its links lead somewhere, and no command is left out."""
+"""The documentation says what is true: its commands run and its links lead somewhere."""
 
 from __future__ import annotations
 
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,14 +86,6 @@ def test_every_command_of_a_page_ends_as_the_page_says(page: Path, tmp_path: Pat
 def test_every_relative_link_of_a_page_leads_to_a_file(page: Path) -> None:
     missing = [target for target in targets(page) if not (page.parent / target).exists()]
     assert not missing
-
-
-def test_the_reference_names_every_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "rig", "--help"], capture_output=True, text=True, check=True)
-    names = re.findall(r"^  ([a-z-]+)  ", done.stdout.partition("Commands:")[2], re.MULTILINE)
-    reference = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
-    assert names
-    assert not [name for name in names if f"`rig {name}" not in reference]
 
 
 def test_a_promised_exit_code_is_read_and_other_blocks_are_left_alone() -> None:

@@ -9,41 +9,66 @@ import importlib
 import keyword
 import os
 import sys
+from collections.abc import Mapping
 from typing import NoReturn
 
 import click
 
-# name: (module that has it, what `rig --help` says)
-COMMANDS = {
-    "sweep": ("measure", "Drive one axis on the shaker over frequency and level."),
-    "turntable": ("measure", "Turn the cube on the platter at 33 1/3 or 45 rpm."),
-    "noise": ("measure", "Record everything at rest."),
-    "tumble": ("measure", "Record static poses against gravity."),
-    "run": ("measure", "Run a procedure from a YAML file."),
-    "resume": ("measure", "Go on with an interrupted run."),
-    "runs": ("runs", "List the runs."),
-    "show": ("runs", "Show one run."),
-    "verify": ("runs", "Check a run's digests, from the journal to the last block."),
-    "calibrate": ("calibration", "Calibrate a unit from its runs."),
-    "certify": ("calibration", "Certificate of a unit: PDF and digital (DCC)."),
-    "export": ("calibration", "Write a calibration for robots and other programs."),
-    "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
-    "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
-    "import": ("importing", "Make a run out of other people's measurements."),
-    "compare": ("repair", "Error against noise, and where a model fails."),
-    "diagnose": ("repair", "Which effect is missing in a model, and why."),
-    "add": ("repair", "Add an effect to a model and refit."),
-    "remove": ("repair", "Take an effect out of a model and refit."),
-    "fit": ("repair", "Fit a model to runs and keep it in its file."),
-    "history": ("repair", "The ladder of a model's repair, as table and figure."),
-    "effects": ("effects", "The shelf of effects, and the page of each."),
-    "next": ("investigate", "Which measurement would decide what is still open."),
-    "floor": ("investigate", "Measure the bench's own ripple from remounts."),
-    "investigate": ("investigate", "Measure, diagnose, and go on until adequate or undecidable."),
-    "demo": ("investigate", "A sealed world to learn on: demo hidden."),
-    "bench": ("bench", "Check, serve or reveal the bench."),
-    "daq": ("daq", "The acquisition service on the PC-104 machine."),
-    "init": ("init", "Copy example configs and procedures into this folder."),
+# by section, name: (module that has it, what `rig --help` says)
+SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Measure": {
+        "sweep": ("measure", "Drive one axis on the shaker over frequency and level."),
+        "turntable": ("measure", "Turn the cube on the platter at 33 1/3 or 45 rpm."),
+        "noise": ("measure", "Record everything at rest."),
+        "tumble": ("measure", "Record static poses against gravity."),
+        "run": ("measure", "Run a procedure from a YAML file."),
+        "resume": ("measure", "Go on with an interrupted run."),
+    },
+    "Look at runs": {
+        "runs": ("runs", "List the runs."),
+        "show": ("runs", "Show one run."),
+        "verify": ("runs", "Check a run's digests, from the journal to the last block."),
+    },
+    "Conclude": {
+        "calibrate": ("calibration", "Calibrate a unit from its runs."),
+        "certify": ("calibration", "Certificate of a unit: PDF and digital (DCC)."),
+        "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
+        "export": ("calibration", "Write a calibration for robots and other programs."),
+        "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
+    },
+    "Bring in other people's data": {
+        "import": ("importing", "Make a run out of other people's measurements."),
+    },
+    "Explain and repair a model": {
+        "compare": ("repair", "Error against noise, and where a model fails."),
+        "diagnose": ("repair", "Which effect is missing in a model, and why."),
+        "add": ("repair", "Add an effect to a model and refit."),
+        "remove": ("repair", "Take an effect out of a model and refit."),
+        "fit": ("repair", "Fit a model to runs and keep it in its file."),
+        "history": ("repair", "The ladder of a model's repair, as table and figure."),
+        "effects": ("effects", "The shelf of effects, and the page of each."),
+    },
+    "Measure what decides": {
+        "next": ("investigate", "Which measurement would decide what is still open."),
+        "floor": ("investigate", "Measure the bench's own ripple from remounts."),
+        "investigate": ("investigate", "Measure, diagnose, and go on until adequate or undecidable."),
+        "demo": ("investigate", "A sealed world to learn on: demo hidden."),
+    },
+    "The bench": {
+        "bench": ("bench", "Check, serve or reveal the bench."),
+        "daq": ("daq", "The acquisition service on the PC-104 machine."),
+        "init": ("init", "Copy example configs and procedures into this folder."),
+    },
+}
+COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
+EXIT_CODES: Mapping[int, str] = {
+    0: "Done.",
+    1: "The work failed on the way: an instrument, the operator, the bench, the archive.",
+    2: "What you gave cannot be used: options, a YAML file, a missing operator, an overdue standard, an unknown run. "
+    "Nothing was energised.",
+    3: "A limit, a gate or an `expect` was not met.",
+    130: "Interrupted (Ctrl-C, SIGTERM, SIGHUP); what was energised is off.",
+    141: "The reader of the output went away.",
 }
 
 
@@ -78,8 +103,14 @@ class LazyGroup(click.Group):
             raise click.exceptions.Exit(130) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+        width = max(map(len, COMMANDS))  # one column for all sections
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:<{width}}", text) for name, (_, text) in commands.items()])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Exit codes"):
+            formatter.write_dl([(str(code), text) for code, text in EXIT_CODES.items()])
 
 
 def _say_interrupted(ctx: click.Context) -> None:

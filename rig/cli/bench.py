@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig.bench.benchfile import BenchDescription
 
 
-@click.group(short_help="Check, serve or reveal the bench.")
+@click.group()
 def bench() -> None:
     """The bench itself: find its instruments, serve the simulated one, reveal what it hides."""
 
@@ -29,7 +29,24 @@ def bench() -> None:
     "--watch", type=click.IntRange(min=1), metavar="N", help="Show the optical level N times while you align the beam."
 )
 def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> None:
-    """Find every instrument, its identity, its errors, and the due dates of the standards."""
+    """Find every instrument, its identity, its errors, and the due dates of the standards.
+
+    Exit code 1 if an instrument does not answer as it should.
+
+    \f
+    ```json
+    {"bench": "simulated", "simulated": true,
+     "instruments": [{"role": "analyzer", "driver": "hp89410a",
+                      "identity": "HEWLETT-PACKARD 89410A (serial 3416A01211, firmware A.09.01)", "error": "",
+                      "pending": []}],
+     "standards": [{"standard": "vibrometer", "instrument": "Polytec OFV-3001 with OVD-01",
+                    "certificate": "EX-LDV-2026-014", "calibrated": "2026-03-02", "due": "2027-03-02",
+                    "overdue": false}],
+     "optical_level": 36}
+    ```
+
+    `pending` are errors that the instrument kept in its queue; `optical_level` is in bars of 40, or `null`.
+    """
     from rig.bench.benchfile import describe
     from rig.errors import WorkFailed
 
@@ -134,7 +151,10 @@ def _print_report(report: dict[str, Any]) -> None:
     "--hidden-seed", type=click.IntRange(min=0), help="Hide one effect, drawn with this seed, until `rig bench reveal`."
 )
 def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None) -> None:
-    """Serve the simulated bench until Ctrl-C, so that any program can talk to it."""
+    """Serve the simulated bench until Ctrl-C, so that any program can talk to it; prints its addresses.
+
+    What --hidden-seed hides belongs to the world from then on, in its own folder of runs.
+    """
     from rig.bench import assembly, control
     from rig.bench.benchfile import describe
     from rig.bench.stopping import stoppable
@@ -168,7 +188,11 @@ def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None
 @runs_option
 @json_option
 def reveal(bench: Path | None, runs: Path, as_json: bool) -> None:
-    """Tell what the simulated world hides, with its strength d′."""
+    """Tell what the simulated world hides, with its strength d′.
+
+    \f
+    `--json` gives `{"effects": []}`, of each effect `name`, `stage`, `parameters` (SI) and `d_prime`.
+    """
     from rig.bench import assembly
     from rig.bench.benchfile import describe
     from rig.bench.control import Control

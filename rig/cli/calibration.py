@@ -1,4 +1,14 @@
-"""Commands that conclude: calibrate, certify, export, report, compare-calibrations."""
+"""Commands that conclude: calibrate, certify, report, export, compare-calibrations.
+
+A calibration merges runs of one unit and is kept in `calibrations/` of the runs folder; an older one is never
+overwritten: a name that is taken gets a number. Imported runs are calibrated by the same commands: a sensitivity is
+then the ratio to what the manifest states (unit `1`), an offset is in SI above the stated zero, and a note says "not
+traceable" unless the manifest names a `standard`. They are not merged with runs of a bench. How measurands are called:
+[measurands](measurands.md).
+
+`calibrate` and `certify` end with exit code 3 if a value lies outside its limits by more than its expanded uncertainty;
+what was made is written all the same. An inconclusive verdict is not a failure.
+"""
 
 from __future__ import annotations
 
@@ -21,21 +31,24 @@ if TYPE_CHECKING:
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 MODEL = click.option(
     "--model", cls=Carried, metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
-    help="Model that the values stand on; `none` is the data sheet alone "
-    "[default: models/<serial>.yaml of the runs folder if there is one].",
+    show_default="models/<serial>.yaml of the runs folder if there is one",
+    help="Model that the values stand on; `none` is the data sheet alone.",
 )  # fmt: skip
 NO_MODEL = Path("none")
-NAME = click.option("--name", cls=Carried, help="Name of the calibration [default: the unit's serial and the day].")
+NAME = click.option(
+    "--name", cls=Carried, help="Name of the calibration.", show_default="the unit's serial and the day"
+)
 RECORDER = click.option(
     "--recorder",
     cls=Carried,
     type=click.Choice(["converter", "cube", "scope"]),
-    help="Which recorder the sensor is read from [default: converter, else scope, else cube].",
+    show_default="converter, else scope, else cube",
+    help="Which recorder the sensor is read from.",
 )
 FORMATS = ("kalibr", "ros2", "csv", "mat", "hdf5", "python", "c")
 
 
-@click.command(short_help="Calibrate a unit from its runs.")
+@click.command()
 @RUN_NAMES
 @NAME
 @RECORDER
@@ -52,6 +65,20 @@ def calibrate(
 
     RUN is a run's name, `last`, or `all` for every completed run in the folder. The calibration is written to
     calibrations/<name>.yaml under the runs folder; an older one is never overwritten.
+
+    \f
+    ```json
+    {"calibration": "first", "path": "runs/calibrations/first.yaml", "serial": "SIM-CUBE-1", "simulated": true,
+     "model": "data sheet", "runs": ["2026-11-24T160303-sweep-x"],
+     "results": [{"key": "unit_a_x.sensitivity", "value": 0.06629, "unit": "V/(m/s²)", "u": 0.00033, "k": 1.96,
+                  "expanded": 0.00065, "status": "determined", "verdict": "pass", "check": null, "method": "…",
+                  "reference": "…", "remarks": []}],
+     "flags": [], "overdue": []}
+    ```
+
+    `value` is `null` for what was not determined; `remarks` then say why. `check` is what a direct estimate makes of
+    the same records (`value`, `u`, `delta`, `u_delta`, `agrees`), `null` without one. With `--monte-carlo` there is
+    `monte_carlo`, a list of `key`, `low`, `high`, `budget_low`, `budget_high`, `agrees`.
     """
     from rig.calibrate.calibration import path_of, save
 
@@ -93,11 +120,11 @@ def _interval_text(one: dict[str, Any]) -> str:
     )
 
 
-@click.command(short_help="Certificate of a unit: PDF and digital (DCC).")
+@click.command()
 @RUN_NAMES
 @NAME
 @RECORDER
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder.", show_default="reports/<name>")
 @MODEL
 @effects_option
 @runs_option
@@ -108,7 +135,11 @@ def certify(
 ) -> None:  # fmt: skip
     """Calibrate from runs and write the certificate as PDF and as digital calibration certificate (DCC 3.2.1).
 
-    Exit code 3 if a value does not keep its limits; both documents are written all the same.
+    RUN as for `rig calibrate`. Exit code 3 if a value does not keep its limits; both documents are written all the
+    same.
+
+    \f
+    `--json` gives `calibration`, `pdf`, `dcc`, `simulated`.
     """
     from rig.calibrate.calibration import path_of, save
     from rig.certificate.dcc import write_dcc
@@ -133,16 +164,26 @@ def certify(
     _refuse_failed(made)
 
 
-@click.command(short_help="Write a calibration or a repaired model for robots and other programs.")
+@click.command()
 @click.argument("name", metavar="[CALIBRATION]", required=False)
 @click.option("--to", "format", type=click.Choice(FORMATS), required=True, help="Format.")
 @click.option(
-    "--out", cls=Carried, type=click.Path(file_okay=False, path_type=Path), help="Folder [default: reports/<name>]."
+    "--out",
+    cls=Carried,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder.",
+    show_default="reports/<name>",
 )
 @click.option(
-    "--unit", cls=Carried, metavar="UNIT", help="Accelerometers, as the sensor file calls them [default: the primary]."
+    "--unit",
+    cls=Carried,
+    metavar="UNIT",
+    help="Accelerometers, as the sensor file calls them.",
+    show_default="the primary",
 )
-@click.option("--gyro", cls=Carried, metavar="UNIT", help="Gyros, as the sensor file calls them [default: the first].")
+@click.option(
+    "--gyro", cls=Carried, metavar="UNIT", help="Gyros, as the sensor file calls them.", show_default="the first"
+)
 @click.option(
     "--rate", cls=Carried, type=float, help="Samples per second of the robot: messages (Kalibr), records (a model)."
 )
@@ -186,6 +227,9 @@ def export(
     and rad/s: zero, sensitivity, temperature, supply, nonlinearity, cross-axis, lever arm, with --rate filters and
     delays too. What cannot be undone is said, here and in the file. `--to c` without --model takes models/<serial>.yaml
     of the calibration's unit.
+
+    \f
+    `--json` gives `calibration`, `format` and `files`; with a model `model`, `format`, `files` and `not_undone`.
     """
     from rig.calibrate.calibration import load, path_of
     from rig.errors import BadInput
@@ -257,10 +301,12 @@ def _assumed(given: Sequence[str]) -> dict[str, float]:
     return found
 
 
-@click.command(short_help="A page with the paper's tables and figures, drawn from runs.")
+@click.command()
 @RUN_NAMES
 @NAME
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="File [default: reports/<name>.html].")
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="File.", show_default="reports/<name>.html"
+)
 @MODEL
 @effects_option
 @runs_option
@@ -269,7 +315,13 @@ def report(
     names: tuple[str, ...], name: str | None, out: Path | None, model: Path | None, effects: Path | None, runs: Path,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Draw Tables I and II and figures 4, 5, 7, 8 and 9 of the paper, budgets and responses: one HTML file."""
+    """Draw Tables I and II and figures 4, 5, 7, 8 and 9 of the paper, budgets and responses: one HTML file.
+
+    RUN as for `rig calibrate`; no calibration is kept.
+
+    \f
+    `--json` gives `calibration` and `report`.
+    """
     from rig.report import write_report
 
     made, records = _calibrated(names, runs, name, model, effects)
@@ -283,15 +335,18 @@ def report(
     say_next(command("certify", *names))
 
 
-@click.command("compare-calibrations", short_help="Compare two calibrations by En numbers.")
+@click.command("compare-calibrations")
 @click.argument("first", metavar="A")
 @click.argument("second", metavar="B")
 @runs_option
 @json_option
 def compare_calibrations(first: str, second: str, runs: Path, as_json: bool) -> None:
-    """En of every measurand that both calibrations have: |En| ≤ 1 agrees within the expanded uncertainties.
+    """En of every measurand that the calibrations A and B have: |En| ≤ 1 agrees within the expanded uncertainties.
 
     Errors of a standard that both share (same certificate) cancel in the difference and are left out of it.
+
+    \f
+    `--json` gives a list of `key`, `difference`, `expanded`, `unit`, `en`, `agrees`.
     """
     from rig.calibrate.calibration import load, path_of
     from rig.calibrate.comparison import compare

@@ -7,7 +7,7 @@ import click
 from rig.cli.options import json_option, print_json
 
 
-@click.group(short_help="The acquisition service on the PC-104 machine.")
+@click.group()
 def daq() -> None:
     """The acquisition service that runs beside the board, on the PC-104 machine."""
 
@@ -19,10 +19,16 @@ def daq() -> None:
 @click.option(
     "--host", default="127.0.0.1", show_default=True, help="Address to listen on; use a private interface only."
 )
-@click.option("--port", default=30431, show_default=True, type=click.IntRange(0, 65535))
+@click.option(
+    "--port", default=30431, show_default=True, type=click.IntRange(0, 65535), help="TCP port; 0 takes a free one."
+)
 @json_option
 def serve(device: str, library: str, serial: str, host: str, port: int, as_json: bool) -> None:
-    """Serve the board over TCP until Ctrl-C."""
+    """Serve the board over TCP until Ctrl-C.
+
+    \f
+    How it is set up: [run the acquisition service](../how-to/run-the-daq-service.md).
+    """
     import importlib
 
     comedi = importlib.import_module("drivers.comedi")

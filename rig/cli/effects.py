@@ -22,7 +22,7 @@ PLACES = {
 HEAD = """\
 # The shelf of effects
 
-<!-- Made by `make effects` from the files in rig/effects; changes here are lost. -->
+<!-- Made by `make pages` from the files in rig/effects; changes here are lost. -->
 
 Every physical effect that a model can be composed of, {count} in all, by its stage of the chain. `rig diagnose` looks
 for all of them that a run can show; those with a test of their own, those that are not looked for yet, and those that
@@ -30,7 +30,7 @@ no fit can see, say so. How to add one: [an effect of your own](../how-to/add-an
 that of the channel, m/s² or rad/s. `rig effects` lists the shelf in a terminal, `rig effects NAME` shows one."""
 
 
-@click.command(short_help="The shelf of effects, and the page of each.")
+@click.command()
 @click.argument("name", metavar="[EFFECT]", required=False)
 @effects_option
 @click.option("--markdown", is_flag=True, help="Print the reference page of the documentation instead.")
@@ -39,6 +39,12 @@ def effects(name: str | None, effects: Path | None, markdown: bool, as_json: boo
     """List every effect that a model can have, by its stage of the chain, or show the page of EFFECT.
 
     Effects of your own (--effects or RIG_EFFECTS) are among them, marked.
+
+    \f
+    `--markdown` prints [the page of the reference](effects.md). `--json` gives a list, with EFFECT one object:
+    `effect`, `stage`, `title`, `own`, `equation`, `quantities`, `places`, `parameters` (a list of `name`, `unit`,
+    `bounds`, `typical`; an open end is `null`, `SI` in a unit is m/s² or rad/s), `missing`, `confused_with`,
+    `separate_by`, `source`, `absorbed`, `looks_in`.
     """
     from rig.shelf import effect_of, own_names, shelf
 

@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from rig.foreign.manifest import Column
 
 
-@click.command(name="import", short_help="Make a run out of other people's measurements.")
-@click.argument("manifest", metavar="MANIFEST", required=False, type=click.Path(path_type=Path))
+@click.command(name="import")
+@click.argument("manifest", metavar="[MANIFEST]", required=False, type=click.Path(path_type=Path))
 @click.option("--data", cls=Carried, type=click.Path(file_okay=False, path_type=Path), envvar="RIG_REAL_DATA",
-              help="Folder that the manifest's paths start from (or RIG_REAL_DATA) [default: its own].")  # fmt: skip
+              show_envvar=True, show_default="its own",
+              help="Folder that the manifest's paths start from.")  # fmt: skip
 @click.option("--guess", type=click.Path(path_type=Path), metavar="FILE",
               help="Draft a manifest from FILE instead, for you to finish.")  # fmt: skip
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Where the draft goes.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), show_default="the terminal",
+              help="Where the draft goes.")  # fmt: skip
 @click.option("--schema", is_flag=True, help="Print the JSON schema of manifests instead.")
 @click.option("--dry-run", is_flag=True, help="Read and check everything, and make no run.")
 @runs_option
@@ -34,6 +36,11 @@ def import_(
 
     Numbers are kept as they stand in the files. What looks wrong with them (time stamps, gaps, signs, units, clocks) is
     reported, kept in the run's journal, and not mended.
+
+    \f
+    How a manifest is written: [manifests](manifest.md). `--json` gives `run`, `unit`, `kind`, `simulated`, `files` (a
+    list of `path`, `label`, `sha256`, `bytes`, `rows`, `rate`, `held_out`), `channels` (`name`, `role`, `quantity`) and
+    `findings`; with `--guess` it gives `kind`, `manifest` (the draft) and `to_fill`.
     """
     if (manifest is not None) + (guess is not None) + schema != 1:
         raise click.UsageError("wanted one of MANIFEST, --guess FILE and --schema")

@@ -11,7 +11,7 @@ import click
 from rig.cli.onward import command, say_next
 
 
-@click.command(short_help="Copy example configs and procedures into this folder.")
+@click.command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=Path())
 def init(folder: Path) -> None:
     """Copy example configs and procedures into FOLDER (default: here). Existing files are kept as they are."""

@@ -25,14 +25,19 @@ STANDARD: tuple[dict[str, Any], ...] = (
 )
 
 
-@click.command(short_help="Measure the bench's own ripple from remounts.")
+@click.command()
 @RUN_NAMES
 @runs_option
 @json_option
 def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
     """Find the smooth ripple between three or more mountings of one axis, and keep it for every later fit.
 
-    Take the runs with: rig run remounts.yaml. The floor is written to floor.yaml under the runs folder.
+    RUN as for `rig compare`; take them with: rig run remounts.yaml. The floor is written to floor.yaml under the runs
+    folder.
+
+    \f
+    `--json` gives `floor` (the file), `size` (relative), `length` (of the logarithm of frequency), `mountings` and
+    `runs`.
     """
     from rig.fit.evidence import evidence_of
     from rig.fit.floor import floor_of, path_of, save
@@ -50,10 +55,15 @@ def floor(names: tuple[str, ...], runs: Path, as_json: bool) -> None:
     say_next(command("diagnose", *names))
 
 
-@click.command("next", short_help="Which measurement would decide what is still open.")
+@click.command("next")
 @RUN_NAMES
 @bench_option
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Where to write the procedure.")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Where to write the procedure.",
+    show_default="reports/<first run>/next.yaml",
+)
 @model_options()
 def next_(
     names: tuple[str, ...], bench: Path | None, out: Path | None, model: Path | None, start: str | None,
@@ -61,8 +71,12 @@ def next_(
 ) -> None:  # fmt: skip
     """Rank the measurements that this bench can do by how well they would decide between what the data leave open.
 
-    Power is the χ² between two rivals that is expected after the measurement; 16 decides. The procedure of the first is
-    written as YAML.
+    RUN as for `rig compare`. Power is the χ² between two rivals that is expected after the measurement; 16 decides. The
+    procedure of the first is written as YAML.
+
+    \f
+    `--json` gives `verdict`, `named` (effects), `measurements` (a list of `name`, `why`, `power`, `decides`, `between`,
+    `minutes`, `procedure`), `procedure` (the file that was written) and `unmeasured` (a list of `lacks`, `command`).
     """
     from rig.diagnose.next_measurement import unmeasured
 
@@ -221,7 +235,7 @@ def _lacking_text(lacking: Sequence[tuple[str, str]]) -> list[str]:
     return ["not measured yet, but this bench could:", *rows] if rows else []
 
 
-@click.command(short_help="Measure, compare, diagnose, and go on until adequate or undecidable.")
+@click.command()
 @bench_option
 @click.option("--yes", is_flag=True, help="Do not ask before each step.")
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="Of the first sweep.")
@@ -240,6 +254,10 @@ def investigate(
     Every measurement is shown with its duration before it is taken. The loop ends when the model is adequate, when no
     measurement of this bench would decide, or when you say no. What cannot be decided is said, and the likeliest taken.
     Without a terminal, or with --json, it needs --yes.
+
+    \f
+    `--json` gives `verdict` (`adequate`, `missing`, `unlisted` or `undecided`), `runs`, `effects` (those that were
+    added), `undecided_between` and `model`.
     """
     _askable(yes, as_json)
     loop = _Loop(bench, yes, runs, model, start, effects, as_json)
@@ -383,7 +401,7 @@ def take(document: dict[str, Any], bench: Path | None, runs: Path, *, quiet: boo
     return done.name
 
 
-@click.group(short_help="A sealed world to learn on: demo hidden.")
+@click.group()
 def demo() -> None:
     """Something to learn on, on the simulated bench."""
 
@@ -399,6 +417,9 @@ def hidden(ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: P
     """A sealed world with one hidden effect: measure, compare, diagnose, add it, and see the error fall.
 
     The world belongs to the runs folder. `rig bench reveal` tells what was hidden.
+
+    \f
+    `--json` only takes the runs, without a guide: `{"runs": [...]}`.
     """
     from rig.bench import assembly, control
     from rig.bench.benchfile import describe

@@ -1,4 +1,29 @@
-"""Commands that measure: sweep, turntable, noise, tumble, run, resume."""
+"""Commands that measure: sweep, turntable, noise, tumble, run, resume.
+
+`sweep`, `turntable`, `noise` and `tumble` are procedures given by options; the options are [keys of their
+YAML](procedures.md). With `--json` a measurement prints what `rig show` prints, and besides:
+
+```json
+{"elapsed": 0.816,
+ "shares": {"wire": 0.060, "simulation": 0.111, "storage": 0.021, "analysis": 0.001, "other": 0.623},
+ "figures": ["runs/reports/2026-11-24T130109-sweep-x/response.svg"],
+ "rows": [{"channel": "unit_a_x", "key": "unit_a_x.sensitivity", "value": 0.06629, "unit": "V/(m/s²)", "u": 0.00033,
+           "k": 1.96, "expanded": 0.00065, "status": "determined", "verdict": "pass", "check": null, "method": "…",
+           "reference": "…", "remarks": []}],
+ "unmet": []}
+```
+
+`elapsed` and `shares` are seconds of real time. `rows` are the results of this run alone, as `rig calibrate` gives
+them. `unmet` lists what an `expect` missed; then the exit code is 3. With `--dry-run --json`:
+
+```json
+{"title": "Frequency sweep, x", "points": 1, "duration": 152.7,
+ "steps": [{"kind": "Sine", "label": "20 Hz full", "duration": 2.1, "point": true,
+            "acceleration": 1.2633, "stroke": 8e-05, "velocity": 0.010053}]}
+```
+
+Durations are seconds; peaks (m/s², m, m/s) are there for steps of the kind `Sine`.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +55,18 @@ def measuring(command: Any) -> Any:
     return command
 
 
-@click.command(short_help="Drive one axis on the shaker over frequency and level.")
+@click.command()
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), required=True, help="Cube axis along the drive.")
-@click.option("--start", metavar="FREQUENCY", help="e.g. '20 Hz'")
-@click.option("--stop", metavar="FREQUENCY", help="e.g. '500 Hz'")
-@click.option("--points", type=click.IntRange(1, 2000), help="Frequencies [default: 24].")
-@click.option("--levels", metavar="LIST", help="e.g. 'full,quarter' (the default)")
-@click.option("--hold", type=click.Choice(["acceleration", "velocity", "drive"]), help="What a level holds.")
+@click.option("--start", metavar="FREQUENCY", show_default="20 Hz", help="Lowest frequency, e.g. '30 Hz'.")
+@click.option("--stop", metavar="FREQUENCY", show_default="500 Hz", help="Highest frequency, e.g. '1 kHz'.")
+@click.option("--points", type=click.IntRange(1, 2000), show_default="24", help="Number of frequencies.")
+@click.option("--levels", metavar="LIST", show_default="full,quarter", help="Some of full, half, quarter, eighth.")
+@click.option(
+    "--hold",
+    type=click.Choice(["acceleration", "velocity", "drive"]),
+    show_default="acceleration",
+    help="What a level holds over frequency.",
+)
 @measuring
 def sweep(axis: str, levels: str | None, hold: str | None, **options: Any) -> None:
     """Sweep one axis of the accelerometers against the vibrometer."""
@@ -49,15 +79,23 @@ def sweep(axis: str, levels: str | None, hold: str | None, **options: Any) -> No
     _measure_document(document, f"sweep-{axis}", options)
 
 
-@click.command(short_help="Turn the cube on the platter at 33 1/3 or 45 rpm.")
-@click.option("--rpm", metavar="SPEED", default="45", show_default=True, help="33 1/3 (also as 33 or 33.3) or 45.")
-@click.option("--axis", type=click.Choice(["pitch", "roll", "yaw"]), default="yaw", show_default=True)
+@click.command()
+@click.option(
+    "--rpm", metavar="SPEED", default="45", show_default=True, help="33 1/3 (also spelled 33, 33.3, 33⅓) or 45."
+)
+@click.option(
+    "--axis",
+    type=click.Choice(["pitch", "roll", "yaw"]),
+    default="yaw",
+    show_default=True,
+    help="Gyro axis on the platter's axis.",
+)
 @click.option("--invert", is_flag=True, help="The cube upside down: the other sense.")
 @click.option("--all", "everything", is_flag=True, help="Both speeds in both senses.")
 @click.option("--perturb", is_flag=True, help="Also rates changed by a light touch.")
-@click.option("--revolutions", type=click.IntRange(2, 10_000), help="Whole revolutions held [default: 40].")
-@click.option("--rest", metavar="TIME", help="Record at rest before and after, e.g. '30 s' (the default).")
-@click.option("--radius", metavar="LENGTH", help="Cube's centre from the axis, e.g. '50 mm' (the default).")
+@click.option("--revolutions", type=click.IntRange(2, 10_000), show_default="40", help="Whole revolutions held.")
+@click.option("--rest", metavar="TIME", show_default="30 s", help="Record at rest before and after, e.g. '1 min'.")
+@click.option("--radius", metavar="LENGTH", show_default="50 mm", help="Cube's centre from the axis, e.g. '40 mm'.")
 @measuring
 def turntable(rpm: str, axis: str, invert: bool, everything: bool, perturb: bool, **options: Any) -> None:
     """Turn the gyros on the platter against the encoder."""
@@ -80,40 +118,50 @@ def _speed(text: str) -> str:
         raise BadInput(f"--rpm: {error}") from None
 
 
-@click.command(short_help="Record everything at rest.")
-@click.option("--length", metavar="TIME", help="e.g. '10 min' [default: 300 s]")
-@click.option("--cables", type=click.Choice(["shaker", "turntable"]), help="Cable set [default: shaker].")
+@click.command()
+@click.option("--length", metavar="TIME", show_default="300 s", help="Of the record, e.g. '10 min'.")
+@click.option("--cables", type=click.Choice(["shaker", "turntable"]), show_default="shaker", help="Cable set.")
 @measuring
 def noise(**options: Any) -> None:
     """Record the sensors at rest, for densities and Allan deviations."""
     _measure_document({"procedure": "noise", **_given(options, "length", "cables")}, "noise", options)
 
 
-@click.command(short_help="Record static poses against gravity.")
-@click.option("--poses", type=click.Choice(["6", "12", "24"]), default="6", show_default=True)
+@click.command()
+@click.option(
+    "--poses", type=click.Choice(["6", "12", "24"]), default="6", show_default=True,
+    help="The six faces; 12 and 24 tilt every face too.",
+)  # fmt: skip
 @measuring
 def tumble(poses: str, **options: Any) -> None:
     """Record the accelerometers in known poses, with gravity as the reference."""
     _measure_document({"procedure": "tumble", "poses": int(poses)}, f"tumble-{poses}", options)
 
 
-@click.command(short_help="Run a procedure from a YAML file.")
+@click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @measuring
 def run(file: Path, **options: Any) -> None:
-    """Run a technician's procedure or sequence of procedures."""
+    """Run FILE: a procedure, or a sequence of procedures, prompts, waits and repetitions.
+
+    A file that is shipped may be named alone: rig run sweep_x.yaml
+    """
     from rig.yaml import document
 
     _measure(document.read(_procedure_path(file)), file.stem, options)
 
 
-@click.command(short_help="Go on with an interrupted run.")
+@click.command()
 @click.argument("name", metavar="RUN")
 @bench_option
 @runs_option
 @json_option
 def resume(name: str, **options: Any) -> None:
-    """Check the instruments, repeat what cables and mounting still permit, and go on with the rest."""
+    """Check the instruments, repeat what cables and mounting still permit, and go on with the rest of RUN.
+
+    RUN is a run's name or `last`. What its procedure says, and whether overdue standards are allowed, stays as it
+    began.
+    """
     from rig.archive.runs import Runs
     from rig.bench import runner
 

@@ -23,7 +23,9 @@ def bench_option(command: F) -> F:
         cls=Carried,
         type=click.Path(dir_okay=False, path_type=Path),
         envvar="RIG_BENCH",
-        help="Bench file [default: ./bench.yaml if it exists, else the simulated bench].",
+        show_envvar=True,
+        show_default="./bench.yaml if it exists, else the simulated bench",
+        help="Bench file.",
     )(command)
 
 
@@ -35,9 +37,10 @@ def runs_option(command: F) -> F:
         cls=Carried,
         type=click.Path(file_okay=False, path_type=Path),
         envvar="RIG_RUNS",
+        show_envvar=True,
         default=Path("runs"),
         show_default=True,
-        help="Folder of the runs (or RIG_RUNS).",
+        help="Folder of the runs.",
     )(command)
 
 
@@ -48,13 +51,16 @@ def effects_option(command: F) -> F:
         cls=Carried,
         type=click.Path(file_okay=False, path_type=Path),
         envvar="RIG_EFFECTS",
-        help="Folder with effects of your own, one file each (or RIG_EFFECTS).",
+        show_envvar=True,
+        help="Folder with effects of your own, one file each.",
     )(command)
 
 
 def json_option(command: F) -> F:
     """One JSON object on stdout instead of text."""
-    return click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")(command)
+    return click.option(
+        "--json", "as_json", is_flag=True, help="One JSON value on stdout instead of text; numbers in SI."
+    )(command)
 
 
 def bench_path(given: Path | None) -> Path:

@@ -1,4 +1,8 @@
-"""Commands that explain a sensor: compare, fit, diagnose, add, remove, history."""
+"""Commands that explain a sensor: compare, diagnose, add, remove, fit, history.
+
+All of these take several runs by name, `last`, or `all` for every completed run in the folder, and one model: that of
+the unit, or the one that `--model` names. They end with exit code 0 whatever the answer.
+"""
 
 from __future__ import annotations
 
@@ -30,14 +34,16 @@ MODEL = click.option(
     "--model",
     cls=Carried,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Model file [default: models/<serial>.yaml].",
+    show_default="models/<serial>.yaml of the runs folder",
+    help="Model file.",
 )
 START = click.option(
     "--start",
     cls=Carried,
     type=click.Choice(MODEL_STARTS),
+    show_default="datasheet",
     help="Where a new model starts: the data sheet's, the paper's without output filter, or one with a single "
-    "sensitivity for all axes [default: datasheet].",
+    "sensitivity for all axes.",
 )
 ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
 
@@ -84,7 +90,7 @@ def opened(names: Sequence[str], runs: Path, model: Path | None, start: Any, eff
     return Opened(bench, model_at(path, bench, start), path, tuple(names), runs)
 
 
-@click.command(short_help="Error against noise, and where a model fails.")
+@click.command()
 @RUN_NAMES
 @click.option("--as-is", is_flag=True, help="Hold the model's values: does it predict runs that it was not fitted to?")
 @click.option("--figures", is_flag=True, help="Draw what is left over, as SVG.")
@@ -97,7 +103,13 @@ def compare(
     """Fit the model to runs and compare its error with the noise measured independently; 1 is noise and nothing else.
 
     RUN is a run's name, `last`, or `all` for every completed run in the folder. Without a model file the data sheet's
-    model is compared. Figures that are asked for go to reports/<first run>/ under the runs folder.
+    model is compared. Figures that are asked for go to reports/<first run>/ under the runs folder. With --as-is it is
+    said besides what one level of its own for every channel would explain.
+
+    \f
+    `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `ratio`, `heldout_ratio`),
+    `worst` (a list of `where`, `ratio`, `in_words`) and `figures`; with `--as-is` `groups`, `with_levels`
+    (groups again), `levels` (a list of `channel`, `relative`, `u`) and `shape_holds`.
     """
     work = opened(names, runs, model, start, effects)
     if as_is:
@@ -211,20 +223,25 @@ def worst_text(worst: Iterable[Condition]) -> list[str]:
     return ["worst:", *rows] if rows else ["nothing stands out of the noise"]
 
 
-@click.command(short_help="Fit a model to runs and keep it in its file.")
+@click.command()
 @RUN_NAMES
 @model_options()
 def fit(
     names: tuple[str, ...], model: Path | None, start: str | None, effects: Path | None, runs: Path, as_json: bool
 ) -> None:
-    """Fit the model to runs, or start one, and write it with values, uncertainties, covariance and history."""
+    """Fit the model to every RUN, or start one, and write it with values, uncertainties, covariance and history.
+
+    \f
+    `--json` of `fit`, `add` and `remove` gives `model`, `unit`, `simulated`, `runs`, `effects` as they stand in the
+    model's file, the steps of the history `before` and `after`, and `remarks`.
+    """
     from rig.repair.repair import fitted
 
     work = opened(names, runs, model, start, effects)
     _conclude(work, fitted(work.bench, work.model), as_json)
 
 
-@click.command(short_help="Which effect is missing in a model.")
+@click.command()
 @RUN_NAMES
 @model_options()
 def diagnose(
@@ -232,8 +249,15 @@ def diagnose(
 ) -> None:
     """Find the physical effects that the model lacks, with reasons, probabilities, and what would tell them apart.
 
-    Several are found one after another. If nothing on the shelf brings the error to the noise, the answer is
-    `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
+    Several are found one after another, with every RUN together. If nothing on the shelf brings the error to the noise,
+    the answer is `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
+
+    \f
+    `--json` gives `verdict` (`adequate`, `missing`, `unlisted`), `groups` as `rig compare` does, `candidates` best
+    first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
+    `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
+    was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, `why`), `description` and `cannot_see`.
+    Errors of a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
     from rig.repair.model_file import terms_of
@@ -340,7 +364,7 @@ def _next_after(said: Conclusion, work: Opened) -> list[str]:
     return [command("compare", *work.names)]
 
 
-@click.command(short_help="Add an effect to a model and refit.")
+@click.command()
 @EFFECT
 @RUN_NAMES
 @click.option(
@@ -363,12 +387,16 @@ def add(
     effect: str, names: tuple[str, ...], on: tuple[str, ...], formula: str | None, start: tuple[str, ...],
     model: Path | None, effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    """Add EFFECT to the model, refit everything, and write the model with one more step of history.
+    """Add EFFECT to the model, refit to every RUN, and write the model with one more step of history.
 
     Prints the errors before and after, on fitted and on held-out data. A term of your own needs a name that no effect
     of the shelf has, and starts for coefficients to which it is not proportional:
 
+    \b
     rig add creep last --formula 'k*exp(-t/tau)' --start 'tau=10 s' --on rate
+
+    \f
+    More of formulas: [a term of your own](../how-to/add-an-effect.md#a-formula).
     """
     from rig.errors import BadInput
     from rig.formula import own_term
@@ -398,7 +426,7 @@ def start_words(given: Sequence[str]) -> list[str]:
     return found
 
 
-@click.command(short_help="Take an effect out of a model and refit.")
+@click.command()
 @EFFECT
 @RUN_NAMES
 @ON
@@ -407,7 +435,7 @@ def remove(
     effect: str, names: tuple[str, ...], on: Any, model: Path | None, start: str | None, effects: Path | None,
     runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    """Take EFFECT out of the model, refit, and write the model with one more step of history."""
+    """Take EFFECT out of the model, refit to every RUN, and write the model with one more step of history."""
     from rig.repair.repair import removed
 
     work = opened(names, runs, model, start, effects)
@@ -475,15 +503,18 @@ def _errors_text(made: Repaired) -> list[str]:
     return lines
 
 
-@click.command(short_help="The ladder of a model's repair, as table and figure.")
-@click.argument("names", metavar="RUN...", nargs=-1)
+@click.command()
+@click.argument("names", metavar="[RUN...]", nargs=-1)
 @MODEL
 @runs_option
 @json_option
 def history(names: tuple[str, ...], model: Path | None, runs: Path, as_json: bool) -> None:
     """Every step of the model's repair with its error on fitted and held-out data against the noise floor.
 
-    RUN says whose unit's model is meant [default: last]; with --model it is not needed.
+    RUN says whose unit's model is meant, without it the newest run; with --model it is not needed.
+
+    \f
+    `--json` gives `model`, `unit`, `simulated`, `history` (the steps) and `figures`.
     """
     from rig.repair.ladder_figure import draw
     from rig.repair.model_file import load

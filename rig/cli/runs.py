@@ -11,11 +11,15 @@ from rig.cli.onward import command, say_next
 from rig.cli.options import json_option, print_json, runs_option
 
 
-@click.command(short_help="List the runs.")
+@click.command()
 @runs_option
 @json_option
 def runs(runs: Path, as_json: bool) -> None:
-    """List the runs, oldest first."""
+    """List the runs, oldest first.
+
+    \f
+    `--json` gives a list of what `rig show --json` prints.
+    """
     from rig.archive.runs import Runs
 
     rows = [run.summary() for run in Runs(runs).list()]
@@ -35,12 +39,22 @@ def runs(runs: Path, as_json: bool) -> None:
     say_next(command("show", rows[-1]["run"]))
 
 
-@click.command(short_help="Show one run.")
-@click.argument("name", metavar="RUN", default="last")
+@click.command()
+@click.argument("name", metavar="[RUN]", default="last")
 @runs_option
 @json_option
 def show(name: str, runs: Path, as_json: bool) -> None:
-    """Show one run: what it is, how far it came, and what was measured. `last` is the newest."""
+    """Show one run: what it is, how far it came, and what was measured. Without RUN it is the newest.
+
+    \f
+    ```json
+    {"run": "2026-11-24T130059-sweep-x", "procedure": "frequency_sweep", "status": "completed", "points_done": 48,
+     "points_total": 48, "simulated": true, "path": "runs/2026-11-24T130059-sweep-x"}
+    ```
+
+    `status` is one of the [states](../explanation/records-and-durability.md#seal-and-states). In a damaged run what is
+    unknown is `null`.
+    """
     from rig.archive.runs import Runs
     from rig.cli import outcome
 
@@ -51,12 +65,18 @@ def show(name: str, runs: Path, as_json: bool) -> None:
         click.echo(outcome.run_as_text(run))
 
 
-@click.command(short_help="Check a run's digests, from the journal to the last block.")
-@click.argument("name", metavar="RUN", default="last")
+@click.command()
+@click.argument("name", metavar="[RUN]", default="last")
 @runs_option
 @json_option
 def verify(name: str, runs: Path, as_json: bool) -> None:
-    """Check every digest of a run; exit code 1 if anything does not agree."""
+    """Check every digest of RUN, or of the newest run; exit code 1 if anything does not agree.
+
+    \f
+    ```json
+    {"run": "2026-11-24T130059-sweep-x", "status": "completed", "sound": true, "problems": []}
+    ```
+    """
     from rig.archive.runs import Runs
     from rig.errors import ArchiveError
 

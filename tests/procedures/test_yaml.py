@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pages
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -73,6 +74,8 @@ def test_a_dry_run_lists_every_step_and_starts_nothing(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     plan = json.loads(done.stdout)
     assert plan["points"] == sum(step["point"] for step in plan["steps"])
+    sines = [step for step in plan["steps"] if step["kind"] == "Sine"]
+    pages.assert_shown(plan | {"steps": sines}, pages.examples("rig run")[1])
     assert plan["duration"] == pytest.approx(sum(step["duration"] for step in plan["steps"]))
     assert {step["kind"] for step in plan["steps"]} == {
         "Ask",
@@ -83,9 +86,8 @@ def test_a_dry_run_lists_every_step_and_starts_nothing(tmp_path: Path) -> None:
         "Spin",
         "Wait",
     }
-    peaks = [step for step in plan["steps"] if step["kind"] == "Sine"]
-    assert max(step["acceleration"] for step in peaks) == pytest.approx(0.5 * 9.80665)
-    assert max(step["stroke"] for step in peaks) == pytest.approx(80e-6)
+    assert max(step["acceleration"] for step in sines) == pytest.approx(0.5 * 9.80665)
+    assert max(step["stroke"] for step in sines) == pytest.approx(80e-6)
     assert not (tmp_path / "runs").exists()
 
 

@@ -57,7 +57,7 @@ def said(*words: object) -> str:
 
 
 def test_the_committed_page_is_what_the_code_makes() -> None:
-    assert reference_page(shelf()) == PAGE, "make effects"
+    assert reference_page(shelf()) == PAGE, "make pages"
     assert said("--markdown") == PAGE
 
 

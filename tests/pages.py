@@ -1,4 +1,4 @@
-"""Pages of the reference that the code makes: `make pages` writes them, tests/rig/test_pages.py compares them.
+"""Pages and schemas of the reference that the code makes: `make pages` writes them, tests/rig/test_pages.py compares.
 
 A command's text is its docstring. What stands behind a form feed there is for the page alone, and is Markdown; so is
 what a module of commands says of all of them, behind its first paragraph. A paragraph that begins with a backspace
@@ -13,18 +13,36 @@ import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
+from pydantic import BaseModel
 
+from fixtures import world_file
+from rig.bench import assembly, procedure_file
+from rig.bench.benchfile import SensorFile, Standard
+from rig.bench.operators import Answers
 from rig.cli import EXIT_CODES, SECTIONS, cli
 from rig.cli.effects import reference_page
 from rig.cli.onward import Carried
+from rig.foreign.manifest import Manifest
+from rig.repair.model_file import Model
 from rig.shelf import shelf
+from rig.yaml.config import json_schema
 
 ROOT = Path(__file__).parents[1]
+SCHEMAS = "docs/reference/schemas"
+MODELS: Mapping[str, Callable[[], type[BaseModel]]] = {
+    "answers": lambda: Answers,
+    "bench": assembly.file_model,
+    "manifest": lambda: Manifest,
+    "model": lambda: Model,
+    "procedure": procedure_file.file_model,
+    "sensor": lambda: SensorFile,
+    "standard": lambda: Standard,
+}
 SHARED = 5  # so many commands have an option in the same words: it is described once
 HEAD = """\
 # Commands
@@ -44,7 +62,20 @@ go along where they were given.
 
 def files() -> dict[str, str]:
     """Every page that the code makes, by its path in the repository."""
-    return {"docs/reference/commands.md": commands_page(), "docs/reference/effects.md": reference_page(shelf())}
+    made = {f"{SCHEMAS}/{name}.json": as_text(schema) for name, schema in schemas().items()}
+    return {
+        "docs/reference/commands.md": commands_page(), "docs/reference/effects.md": reference_page(shelf()), **made,
+    }  # fmt: skip
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """The JSON schema of every kind of YAML file that people write, by the kind's name."""
+    return {**{name: json_schema(model()) for name, model in MODELS.items()}, "world": world_file.schema()}
+
+
+def as_text(schema: dict[str, Any]) -> str:
+    """A schema as its file has it."""
+    return json.dumps(schema, ensure_ascii=False, indent=1) + "\n"
 
 
 def commands_page() -> str:

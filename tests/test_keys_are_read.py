@@ -105,10 +105,11 @@ def readers(schema: str) -> tuple[frozenset[str], frozenset[str]]:
     return frozenset(attributes), frozenset(texts if schema in AS_JSON else ())
 
 
-FIXED = {"format", "procedure", "root"}  # of one value, or read before there is a schema: it chooses the schema
+FIXED = {"format", "procedure", "driver", "root"}  # of one value, or read before there is a schema: it chooses it
 KEYS = sorted(
-    {(one.__module__, one.__name__, key) for one in schemas() for key in one.model_fields if key not in FIXED}
-)
+    {(one.__module__, one.__name__, key) for one in schemas() for key in one.__annotations__.keys() & one.model_fields}
+)  # those of a class that it stands on are asked for there
+KEYS = [(module, name, key) for module, name, key in KEYS if key not in FIXED]
 
 
 def test_there_are_schemas() -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any, Literal, Union
 
-from rig.bench.benchfile import BenchDescription, filled
+from pydantic import BaseModel, Discriminator, create_model
+
+from rig.bench.benchfile import BenchDescription, BenchFile, Role, filled
 from rig.bench.clock import SystemClock
 from rig.bench.control import BenchClock, BenchOperator, Control, ensure_served
 from rig.bench.guard import Charge, load_driver
@@ -75,20 +79,26 @@ def _fitting(document: Document, role: str, entry: Mapping[str, Any]) -> tuple[F
             raise ImportError(f"found '{entry['driver']}', wanted a driver with Settings and connect")
     except ImportError as error:
         return None, [document.problem((*at, "driver"), str(error))]
-    own = _without_driver(document, at)
-    settings, problems = config.check(own, module.Settings, at)
+    settings, problems = config.check(document, entry_of(str(entry["driver"]), module.Settings), at)
     if settings is None:
         return None, problems
     return Fitting(role, str(entry["driver"]), module, settings), []
 
 
-def _without_driver(document: Document, at: tuple[str, ...]) -> Document:
-    """The document as the driver should see its entry: without the key that chose the driver."""
-    data = {**document.data, "instruments": {**document.data["instruments"]}}
-    entry = dict(data["instruments"][at[1]])
-    entry.pop("driver", None)
-    data["instruments"][at[1]] = entry
-    return Document(document.file, document.root, data)
+def entry_of(driver: str, settings: type[BaseModel]) -> type[BaseModel]:
+    """What an instrument's entry in a bench file may hold: the name of its driver, and that one's settings."""
+    name: Any = Literal[driver]
+    return create_model(f"Entry of {driver}", __base__=settings, __doc__=settings.__doc__, driver=(name, ...))
+
+
+def file_model() -> type[BenchFile]:
+    """A bench file with the keys of every driver of the program; the source of its JSON schema."""
+    package = importlib.import_module("drivers")
+    modules = {one.name: load_driver(one.name) for one in pkgutil.iter_modules(package.__path__)}
+    entries = tuple(entry_of(name, one.Settings) for name, one in modules.items() if hasattr(one, "connect"))
+    kinds: Any = Annotated[Union[entries], Discriminator("driver")]  # noqa: UP007 - made at run time
+    roles: Any = dict[Role, kinds]
+    return create_model("BenchFile", __base__=BenchFile, __doc__=BenchFile.__doc__, instruments=(roles, ...))
 
 
 @contextmanager
@@ -115,7 +125,7 @@ def connected(
         bench = Bench(description, room, control)
         for role, fitting in wanted.items():
             settings = fitting.module.Settings.model_validate(
-                filled(fitting.settings.model_dump(mode="json"), addresses)
+                filled(fitting.settings.model_dump(mode="json", exclude={"driver"}), addresses)
             )
             instrument = fitting.module.connect(role, settings, room)
             stack.callback(instrument.close)

@@ -80,7 +80,7 @@ class Answer(BaseModel):
         )
 
 
-class _Answers(RootModel[list[Answer]]):
+class Answers(RootModel[list[Answer]]):
     """The file: a list of answers."""
 
 
@@ -96,7 +96,7 @@ class AnswersOperator:
     @classmethod
     def load(cls, path: Path, clock: Clock) -> AnswersOperator:
         """Raises ConfigError with every mistake in the file."""
-        return cls(config.load(path, _Answers).root, clock, str(path))
+        return cls(config.load(path, Answers).root, clock, str(path))
 
     def check(self, requests: Iterable[Request]) -> None:
         """Raises OperatorMissing naming every request that has no answer."""

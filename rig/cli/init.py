@@ -1,8 +1,7 @@
-"""`rig init`: example configs and procedures in the technician's own folder."""
+"""`rig init`: example configs and procedures, and schemas for an editor, in the technician's own folder."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,11 +9,20 @@ import click
 
 from rig.cli.onward import command, say_next
 
+SCHEMAS = "schemas"  # their folder beside `configs` and `procedures`
+
 
 @click.command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=Path())
 def init(folder: Path) -> None:
-    """Copy example configs and procedures into FOLDER (default: here). Existing files are kept as they are."""
+    """Copy example configs and procedures into FOLDER (default: here). Existing files are kept as they are.
+
+    Schemas go along, by which an editor completes and checks every kind of YAML file; the first line of each example
+    says where its own is.
+
+    \f
+    More of them: [schemas](schemas.md).
+    """
     kept = 0
     for target, text in _examples():
         path = folder / target
@@ -30,16 +38,18 @@ def init(folder: Path) -> None:
 
 
 def _examples() -> Iterator[tuple[Path, str]]:
+    """Where each file goes, and its text, which says where its schema is."""
     import importlib
 
-    from rig.bench.procedure_file import file_model
     from rig.yaml import config
 
-    root = config.shipped("benches/simulated.yaml").parent.parent
-    for path in sorted(root.rglob("*.yaml")):
-        yield Path("configs") / path.relative_to(root), path.read_text(encoding="utf-8")
-    package = Path(next(iter(importlib.import_module("procedures").__path__)))
-    for path in sorted(package.glob("*.yaml")):
-        yield Path("procedures") / path.name, path.read_text(encoding="utf-8")
-    schema = json.dumps(config.json_schema(file_model()), indent=2, ensure_ascii=False)
-    yield Path("procedures") / "procedure.schema.json", schema + "\n"
+    folders = {
+        "configs": config.shipped("."),
+        "procedures": Path(next(iter(importlib.import_module("procedures").__path__))),
+    }
+    for name, folder in folders.items():
+        for path in sorted(folder.rglob("*.yaml")):
+            text = path.read_text(encoding="utf-8").replace(config.SCHEMAS.as_posix(), SCHEMAS)
+            yield Path(name) / path.relative_to(folder), text
+    for path in sorted(config.schemas().glob("*.json")):
+        yield Path(SCHEMAS) / path.name, path.read_text(encoding="utf-8")

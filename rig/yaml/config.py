@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     M = TypeVar("M", bound=BaseModel)
 
 __all__ = [
-    "Document", "KeyPath", "check", "dotted", "json_schema", "load", "load_mapping", "locate", "program_version",
-    "read", "read_text", "shipped", "validate",
+    "SCHEMAS", "Document", "KeyPath", "check", "dotted", "json_schema", "load", "load_mapping", "locate",
+    "program_version", "read", "read_text", "schemas", "shipped", "validate",
 ]  # fmt: skip
 
 HERE = Path(__file__).parent.parent
+SCHEMAS = Path("docs/reference/schemas")
 
 
 def load(path: Path, model: type[M]) -> M:
@@ -87,6 +88,11 @@ def shipped(relative: str, package: Path = HERE) -> Path:
     In an installed wheel they are inside the package, in a checkout beside it. Raises BadInput if there is none.
     """
     return _beside(package, Path("configs") / relative)
+
+
+def schemas(package: Path = HERE) -> Path:
+    """The folder of JSON schemas that ship with the program, one for each kind of YAML file. Raises BadInput."""
+    return _beside(package, SCHEMAS)
 
 
 def program_version(package: Path = HERE) -> dict[str, str]:

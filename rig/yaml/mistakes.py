@@ -242,4 +242,4 @@ class _Schema(GenerateJsonSchema):
 
 def schema(model: type[BaseModel]) -> dict[str, Any]:
     """The model's JSON schema; quantities are text with a unit, in their defaults too."""
-    return model.model_json_schema(schema_generator=_Schema)
+    return {"$schema": _Schema.schema_dialect, **model.model_json_schema(schema_generator=_Schema)}

@@ -10,11 +10,9 @@ from pathlib import Path
 
 import pages
 import pytest
-from jsonschema import Draft202012Validator
 
 from rig.bench import procedure_file
 from rig.bench.steps import BenchFacts
-from rig.yaml import config
 from rig.yaml.document import read
 
 FOLDER = Path(procedure_file.procedures()["noise"].__file__ or "").parent
@@ -60,13 +58,6 @@ def test_every_shipped_file_has_a_plan_without_mistakes(path: Path, facts: Bench
     assert plan.points > 0
     assert plan.mistakes == ()
     assert plan.title
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_every_shipped_file_fits_the_schema_that_editors_get(path: Path) -> None:
-    schema = config.json_schema(procedure_file.file_model())
-    Draft202012Validator.check_schema(schema)
-    Draft202012Validator(schema).validate(read(path).data)
 
 
 def test_a_dry_run_lists_every_step_and_starts_nothing(tmp_path: Path) -> None:

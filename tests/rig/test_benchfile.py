@@ -117,8 +117,8 @@ def test_mistakes_in_a_file_that_the_bench_file_names_are_located_in_that_file(c
         file="standards/vibrometer.yaml",
     )
     lines = said(path)
-    assert lines[0].startswith("vibrometer.yaml:7:6 due: found 'soon', wanted a date such as")
-    assert "vibrometer.yaml:9:" in lines[1]
+    assert lines[0].startswith("vibrometer.yaml:8:6 due: found 'soon', wanted a date such as")
+    assert "vibrometer.yaml:10:" in lines[1]
     assert "expanded_uncertainty" in lines[1]
 
 

@@ -12,6 +12,7 @@ and three times the mains frequency. What makes them uncertain:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -301,6 +302,12 @@ class Sweep(Part):
 
     def errors(self, left: Array) -> Array:
         return np.full(len(self.row_names), np.nan)
+
+    def allowance_of(self, name: str, mask: Mask) -> float:
+        """Means wander with flicker below all lines of the records, which is known worse than a line's neighbours."""
+        of_means = self.domains()["mean"]
+        slow = self.data.noise[self.row_names.index(name)].u_slow if of_means[mask].all() else 0.0
+        return math.hypot(self.allowance, slow)
 
     def domains(self) -> Mapping[str, Mask]:
         return sweep_cuts.domains_of(self.data)

@@ -26,6 +26,7 @@ CORNER_PERIODS = 4.0  # flicker: corner frequency times record length
 CLUSTERS = 9.0  # random walk: clusters in the record at the averaging time where it takes over
 HIGHEST_POLE = 0.4  # of the sampling rate; above it the filter cannot be told from aliased white noise
 LARGEST_LOG_U = 0.5  # relative standard uncertainty beyond which a coefficient is not determined
+FAR = 0.1  # of the lowest frequency of a density: there only flicker is left
 EULER = 0.5772156649015329
 
 
@@ -42,6 +43,7 @@ class NoiseModel:
     flicker: float = 0.0  # unit²
     random_walk: float = 0.0  # unit²·Hz
     quantisation: float = 0.0  # unit²/Hz, known: step²/12 / (rate/2)
+    u_slow: float = 0.0  # relative standard uncertainty of the density far below all records that it was found from
 
     def density(self, f: ArrayLike) -> Array:
         """One-sided density at the frequencies `f` > 0 in Hz, as sampled, same shape."""
@@ -185,8 +187,8 @@ def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp
 def fit_density(density: Density, rate: float, *, step: float, pole: float | None) -> NoiseModel:
     """White noise and flicker behind one pole from averaged periodograms of many records.
 
-    The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. Raises BadInput for no
-    bins.
+    The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. How well the noise of
+    means is known (`u_slow`) is read off the Fisher information. Raises BadInput for no bins.
     """
     if not len(density.frequency):
         raise BadInput("noise: found no line of a spectrum, wanted some")
@@ -194,7 +196,10 @@ def fit_density(density: Density, rate: float, *, step: float, pole: float | Non
     quantisation = step**2 / 6 / rate
     start = _starting(density, names, 0.3 * rate if pole is None else min(pole, 0.3 * rate))
     trial = _maximum(density, names, start, rate, quantisation)
-    return trial.model(rate, quantisation)
+    far = np.array([FAR * density.frequency.min()])
+    slow, shares = _parts(far, names, trial.log, rate)
+    share = shares[:, 0] / slow[0]
+    return replace(trial.model(rate, quantisation), u_slow=math.sqrt(float(share @ trial.covariance() @ share)))
 
 
 def fit_blocks(lines: Lines, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:

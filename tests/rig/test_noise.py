@@ -212,3 +212,21 @@ def test_records_that_cannot_be_used_are_refused() -> None:
         noise.fit(np.ones(5), 1.0, step=0, pole=None)
     with pytest.raises(BadInput, match="wanted begin < end"):
         noise.NoiseModel(1.0, 1.0).covariance([0.0], [0.0])
+
+
+def test_how_well_the_noise_of_means_is_known_covers_what_records_say_of_it() -> None:
+    rate, rng = 100.0, np.random.default_rng(8)
+    found = []
+    for _ in range(60):
+        values = white(rng, 3000, rate, 1e-4) + flicker(rng, 3000, rate, 2e-4)
+        bins = _bins(values, rate)
+        found.append(noise.fit_density(bins, rate, step=0.0, pole=None))
+    slow = np.log([float(one.density(0.01)) for one in found])
+    u = float(np.mean([one.u_slow for one in found]))
+    assert 0.05 < u < 0.3
+    assert float(np.std(slow)) == pytest.approx(u, rel=0.25)
+
+
+def _bins(values: np.ndarray, rate: float) -> spectrum.Density:
+    lines = np.abs(np.fft.rfft(values))[1:-1] ** 2 * 2.0 / (rate * len(values))
+    return spectrum.log_bins(np.arange(1, len(lines) + 1) * rate / len(values), lines, 20.0, 2.0)

@@ -48,8 +48,7 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
     factor = max([1.0, *(one.ratio for one in missed(experiment) if one.channel == result.channel)])
     lines = tuple(_lines(result, estimate, factor))
     check = agreement.check(experiment, result.channel, estimate, direct.value, direct.u, direct.change, result.method)
-    worst = _worst_beside(experiment, result.channel)
-    said = [] if worst is None else [inadequate(experiment, factor, worst)]
+    said = [] if experiment.worst is None else [inadequate(experiment, factor)]
     if not check.agrees:
         said.append(
             f"the direct estimate lies {abs(check.delta) / check.u_delta:.1f} standard uncertainties of the difference "
@@ -90,20 +89,9 @@ def missed(experiment: Experiment) -> list[adequacy.Group]:
     return [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT and one.count > 1]
 
 
-def _worst_beside(experiment: Experiment, channel: str) -> adequacy.Group | None:
-    """What the model misses most in channels of the same quantity, or of the reference.
-
-    A slow wander of a gyro's mean says nothing against an accelerometer on the shaker.
-    """
-    rates = {n: bool(r) for p in experiment.fit.parts for n, r in zip(p.channels.names, p.channels.rates, strict=True)}
-    same = rates[channel]
-    found = [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT]
-    return max((one for one in found if rates.get(one.channel, same) is same), key=lambda one: one.z, default=None)
-
-
-def inadequate(experiment: Experiment, factor: float, worst: adequacy.Group | None = None) -> str:
-    """Which rows the model misses most, in words."""
-    one = worst or experiment.worst
+def inadequate(experiment: Experiment, factor: float) -> str:
+    """What the model misses most of an experiment, and by how much noise was widened for it."""
+    one = experiment.worst
     assert one is not None
     widened = f"; u of the noise is widened by {factor:.2g}" if factor > 1.0 else ""
     return (

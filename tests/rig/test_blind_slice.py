@@ -24,7 +24,7 @@ from blind_worlds import Answer
 
 from fixtures import strength
 
-EXACT = 22  # of 24 hidden effects; 21 if lags and delays are turned the wrong way, 4 if means count as independent
+EXACT = 23  # of 24 hidden effects; 21 if lags and delays are turned the wrong way, 4 if means count as independent
 ENTRY = {"name": "cubic", "parameters": {"coefficient": 1e-5, "quantity": "acceleration"}, "d_prime": 60.0}
 ANSWER = Answer("one", "one", "shaker", 7, [ENTRY])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,6 @@ from rig.signals.spectrum import Density
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-LONGEST = 5.0  # s of a record at rest that a model is compared with; all of it says how noisy a channel is
 OUTSTANDING = 6.0  # robust standard deviations: one sample in 10⁹ of normal noise
 FEW = 1e-9  # share of samples that may stand out
 GATINGS = 3
@@ -95,18 +94,17 @@ def _resting(records: Recorded, body: Mapping[str, Any], mains: float) -> Iterat
     found = signals(records.samples(str(body["samples"])))
     if wires.reference not in found.names:
         return
-    seconds = min(len(found.instants) / found.rate, LONGEST)
+    seconds = len(found.instants) / found.rate
     each = round(found.rate * seconds / max(1, math.floor(seconds)))
-    for first in range(0, min(len(found.instants), round(LONGEST * found.rate)) - each + 1, each):
-        here = slice(first, first + each)
-        volts = found.volts[here]
+    for first in range(0, len(found.instants) - each + 1, each):
+        piece = replace(found, instants=found.instants[first : first + each], volts=found.volts[first : first + each])
+        volts = piece.volts
         mean = volts.mean(axis=0)
         lines = np.zeros((volts.shape[1], LINES), np.complex128)
         lines[:, 0] = mean
         lines[:, 1:ORDERS] = np.nan
-        begin = found.start + float(found.instants[first])
         gate = _Gate(np.zeros(ORDERS, np.complex128), 0.0, 0.0, np.empty(0))
-        yield _record(found, wires, begin, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
+        yield _record(piece, wires, lines, volts - mean, None, mains, np.full(ORDERS, np.nan), gate)
 
 
 def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Record:
@@ -120,8 +118,7 @@ def _driven(records: Recorded, sine: Sine, chain: Chain, mains: float) -> _Recor
     per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
     gate = _gated(sine, chain)
     variance = np.concatenate([[np.nan], per_volt**2 * _reference_noise(sine, gate.left, at)])
-    begin = found.start + float(found.instants[0])
-    return _record(found, wires_of(records), begin, lines, sine.left, point, mains, variance, gate)
+    return _record(found, wires_of(records), lines, sine.left, point, mains, variance, gate)
 
 
 @dataclass(frozen=True)
@@ -182,10 +179,10 @@ def _reference_noise(sine: Sine, left: Array, at: Array) -> Array:
 
 
 def _record(
-    found: Signals, wires: Wires, begin: float, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
+    found: Signals, wires: Wires, lines: Complexes, left: Array, point: SinePoint | None, mains: float,
     variance: Array, gate: _Gate,
 ) -> _Record:  # fmt: skip
-    count = len(left)
+    count, begin = len(left), found.start + float(found.instants[0])
     resolution = found.rate / count
     spectrum = np.fft.rfft(left, axis=0) * (2.0 / count)
     at = np.arange(len(spectrum)) * resolution
@@ -193,6 +190,8 @@ def _record(
     for place, order in enumerate(MAINS_ORDERS, ORDERS):
         lines[:, place] = _at(left, found, order * mains)
     lines[:, ORDERS:] *= np.exp(-2j * math.pi * mains * np.array(MAINS_ORDERS) * begin)
+    if point is not None:
+        lines[:, _mingled(point.frequency, mains, resolution)] = np.nan
     step = float(np.diff(np.sort(found.skew))[0]) if len(found.skew) > 1 else 0.0
     names = list(found.names)
     free = np.array([not found.clipped.get(name) for name in names])
@@ -212,6 +211,14 @@ def _record(
         gated=gate.acceleration,
         outliers=(gate.share, gate.depth),
     )
+
+
+def _mingled(frequency: float, mains: float, resolution: float) -> NDArray[np.bool_]:
+    """Lines in which a record cannot tell a harmonic of the drive from the mains, (LINES,); the driven one is kept."""
+    harmonics = frequency * np.arange(1, ORDERS)
+    apart = np.abs(harmonics - mains * np.maximum(np.round(harmonics / mains), 1.0)) > LIMIT * resolution
+    of_mains = np.abs(mains * np.array(MAINS_ORDERS)[:, None] - harmonics).min(axis=1) > LIMIT * resolution
+    return ~np.concatenate([[True, True], apart[1:], of_mains])
 
 
 def _at(left: Array, found: Signals, frequency: float) -> Complexes:

@@ -27,6 +27,7 @@ CLUSTERS = 9.0  # random walk: clusters in the record at the averaging time wher
 HIGHEST_POLE = 0.4  # of the sampling rate; above it the filter cannot be told from aliased white noise
 LARGEST_LOG_U = 0.5  # relative standard uncertainty beyond which a coefficient is not determined
 FAR = 0.1  # of the lowest frequency of a density: there only flicker is left
+SHOWN = 2.0  # of the log-likelihood: what a term of two standard deviations gains
 EULER = 0.5772156649015329
 
 
@@ -44,6 +45,7 @@ class NoiseModel:
     random_walk: float = 0.0  # unit²·Hz
     quantisation: float = 0.0  # unit²/Hz, known: step²/12 / (rate/2)
     u_slow: float = 0.0  # relative standard uncertainty of the density far below all records that it was found from
+    apart: float = 0.0  # unit²: variance of a constant that every block has of its own, no part of the density
 
     def density(self, f: ArrayLike) -> Array:
         """One-sided density at the frequencies `f` > 0 in Hz, as sampled, same shape."""
@@ -84,7 +86,7 @@ class NoiseModel:
         for sign, one, two in ((1, e, b), (-1, b, b), (-1, e, e), (1, b, e)):
             twice += sign * self._twice_integrated(one[:, None] - two[None, :], span)
         length = e - b
-        result = twice / length[:, None] / length[None, :] + self._constant(span)
+        result = twice / length[:, None] / length[None, :] + self._constant(span) + self.apart * np.eye(b.size)
         return np.asarray((result + result.T) / 2)
 
     def _white_power(self, f: float) -> float:
@@ -184,22 +186,29 @@ def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp
     return fit_blocks(periodogram.result(), step=step, pole=pole, ramp=ramp)
 
 
-def fit_density(density: Density, rate: float, *, step: float, pole: float | None) -> NoiseModel:
+def fit_density(density: Density, rate: float, *, step: float, pole: float | None, shown: bool = False) -> NoiseModel:
     """White noise and flicker behind one pole from averaged periodograms of many records.
 
-    The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. How well the noise of
-    means is known (`u_slow`) is read off the Fisher information. Raises BadInput for no bins.
+    The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. `shown`: flicker only as
+    far as the lines show it, by two standard deviations. How well the noise of means is known (`u_slow`) is read off
+    the Fisher information. Raises BadInput for no bins.
     """
     if not len(density.frequency):
         raise BadInput("noise: found no line of a spectrum, wanted some")
-    names = ("white", "flicker") if pole is None else ("white", "flicker", "pole")
+    filtered = () if pole is None else ("pole",)
     quantisation = step**2 / 6 / rate
-    start = _starting(density, names, 0.3 * rate if pole is None else min(pole, 0.3 * rate))
-    trial = _maximum(density, names, start, rate, quantisation)
+    first = 0.3 * rate if pole is None else min(pole, 0.3 * rate)
+
+    def trial(*names: str) -> _Trial:
+        return _maximum(density, names, _starting(density, names, first), rate, quantisation)
+
+    found = trial("white", "flicker", *filtered)
+    if shown and found.log_likelihood - (bare := trial("white", *filtered)).log_likelihood < SHOWN:
+        found = bare
     far = np.array([FAR * density.frequency.min()])
-    slow, shares = _parts(far, names, trial.log, rate)
+    slow, shares = _parts(far, found.names, found.log, rate)
     share = shares[:, 0] / slow[0]
-    return replace(trial.model(rate, quantisation), u_slow=math.sqrt(float(share @ trial.covariance() @ share)))
+    return replace(found.model(rate, quantisation), u_slow=math.sqrt(float(share @ found.covariance() @ share)))
 
 
 def fit_blocks(lines: Lines, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +89,31 @@ def test_the_truth_lies_within_the_interval(tmp_path: Path, kind: str) -> None:
             errors.append((result.value - true) / result.u)
     assert np.abs(errors).max() < 3.5
     assert np.mean(np.abs(errors) <= 2.0) >= 0.85
+
+
+def test_the_zero_of_a_sweep_errs_as_much_as_it_states(tmp_path: Path) -> None:
+    errors = []
+    for seed in range(24):
+        data = sweep(seed=seed, columns_=columns("m/s²"), levels=(0.3, 0.7, 1.0))
+        result = calibrated(tmp_path / str(seed), data).result("board.offset")
+        assert result.value is not None
+        errors.append((result.value + 0.013) / result.u)
+    assert 0.7 < float(np.sqrt(np.mean(np.square(errors)))) < 1.3
+
+
+def test_zeros_that_differ_from_file_to_file_make_theirs_uncertain(tmp_path: Path) -> None:
+    data = sweep(columns_=columns("m/s²"))
+    steps = 2e-4 * np.random.default_rng(7).normal(size=len(data.tables))
+    moved = [
+        replace(one, values=one.values + np.array([0.0, 0.0, step]))
+        for one, step in zip(data.tables, steps, strict=True)
+    ]
+    made = calibrated(tmp_path, replace(data, tables=tuple(moved)))
+    result = made.result("board.offset")
+    assert result.status == "determined"
+    assert result.value == pytest.approx(-0.013 + steps.mean(), abs=3e-6)
+    assert result.u == pytest.approx(2e-4 / np.sqrt(7.0), rel=0.5)
+    assert any("zero output of board wanders by" in flag for flag in made.flags)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -24,10 +24,13 @@ from rig.foreign.manifest import Column, Manifest
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import ORDERS
+from rig.parts.reading.imported_notes import notes
+from rig.parts.reading.record_means import Means, noise_of
 from rig.parts.reading.shaker_distortion import shaker_remarks
-from rig.parts.sweep_lines import Separated, density, drive_clock, mains_seen, separated, slow_noise, taken
+from rig.parts.sweep_lines import Separated, density, mains_seen, separated, taken
 from rig.parts.sweep_records import LINES, Leftover, SweepRecords, directions
 from rig.signals import tone
+from rig.signals.noise import NoiseModel
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -77,9 +80,9 @@ def sweeps(foreign: Foreign) -> list[SweepRecords]:
     if not any(one.nominal for one in records):
         raise BadInput(f"{foreign.run}: found no file with a frequency in its settings, wanted one such as '5 Hz'")
     made = _joined(foreign, columns, records)
-    notes = (*_unit_notes(columns), *_clock_notes(made), *_hum_notes(made), *shaker_remarks(foreign, made))
+    said = (*notes(columns, made), *shaker_remarks(foreign, made))
     held = np.array([table.held_out for table in foreign.tables])
-    return [replace(made, notes=notes, held=held if held.any() else None, vibrometer=False)]
+    return [replace(made, notes=said, held=held if held.any() else None, vibrometer=False)]
 
 
 def _columns(foreign: Foreign) -> list[Column]:
@@ -206,10 +209,10 @@ def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Reco
     count = len(records)
     own, shared = _noise(records)
     axis = device[0].axis or "x"
-    leftovers = [_incoherent(one, _ratio(one, records)) for one in records]
     observed = np.stack([_observed(one) for one in records], axis=1)
     shown = np.stack([_harmonics(one)[0] for one in records])
     conditions = {name: np.array([_mean(foreign.condition(one.table, name)) for one in records]) for name in CONDITIONS}
+    beside = np.stack([*conditions.values(), [one.begin for one in records]])
     return SweepRecords(
         name=f"{foreign.run}#0",
         run=foreign.run,
@@ -218,10 +221,7 @@ def _joined(foreign: Foreign, columns: Sequence[Column], records: Sequence[_Reco
         observed=observed,
         before=np.zeros_like(observed),
         variance=own,
-        noise=tuple(
-            slow_noise(density(leftovers, c, made.mains), one.bandwidth, leftovers[0], 0.0)
-            for c, one in enumerate(device)
-        ),
+        noise=tuple(_of_means(records, c, one.bandwidth, made.mains, beside) for c, one in enumerate(device)),
         shown=shown,
         gated=shown,
         outliers=np.zeros((count, 2)),
@@ -304,10 +304,26 @@ def _ratio(one: _Record, records: Sequence[_Record]) -> Complexes:
     return np.asarray(np.median(ratios.real, axis=0) + 1j * np.median(ratios.imag, axis=0))
 
 
-def _incoherent(one: _Record, ratio: Complexes) -> Leftover:
-    """The leftover without what the reference shows too."""
-    left = one.leftover
-    return replace(left, amplitude=left.amplitude - left.reference[:, None] * ratio)
+def _of_means(
+    records: Sequence[_Record], row: int, pole: float | None, mains: float | None, beside: Array
+) -> NoiseModel:
+    """Noise of a device's means: of its spectra as they stand and without what the reference shows, the lesser.
+
+    The reference takes motion away and brings its own noise in. Hum is in no mean.
+    """
+    bare = [_leftover(one.lines.left, one.rate, one.begin, one.frequency or None, one.delay) for one in records]
+    without = [
+        replace(left, amplitude=left.amplitude - left.reference[:, None] * _ratio(one, records))
+        for left, one in zip(bare, records, strict=True)
+    ]
+    begin = np.array([one.begin for one in records])
+    means = Means(
+        np.array([float(one.lines.mean[1 + row]) for one in records]), begin,
+        begin + np.array([one.seconds for one in records]),
+        np.array([float(np.sum(np.abs(one.harmonics[0]) ** 2)) if one.nominal else 0.0 for one in records]), beside,
+    )  # fmt: skip
+    spectra = [density(left, row, mains) for left in (bare, without)]
+    return noise_of(spectra, records[0].rate, pole, means)
 
 
 def _noise(records: Sequence[_Record]) -> tuple[Array, Array]:
@@ -374,51 +390,3 @@ def _common(left: Complexes, ratio: Complexes) -> float:
         return 0.0
     product = (np.conj(referred).T @ referred).real / (2.0 * len(left))
     return float(np.clip(product[np.triu_indices(c, 1)].mean(), 0.0, np.diag(product).min()))
-
-
-def _unit_notes(columns: Sequence[Column]) -> list[str]:
-    bare = [one.channel for one in columns if one.quantity == "unstated"]
-    if not bare:
-        return []
-    text = "is" if len(bare) == 1 else "are"
-    return [
-        f"the unit of {', '.join(bare)} {text} not stated: numbers are taken as m/s² as they stand, "
-        "so gains are ratios to the reference and amplitudes have no unit"
-    ]
-
-
-def _clock_notes(data: SweepRecords) -> list[str]:
-    found = drive_clock(data.frequency, data.nominal, data.leftovers, data.mains)
-    return [] if found is None else [found.said]
-
-
-def _hum_notes(data: SweepRecords) -> list[str]:
-    """Mains lines of each channel at their largest, from records at rest if there are any."""
-    if not math.isfinite(data.mains):
-        return []
-    resting = [left for left, index in zip(data.leftovers, data.index, strict=True) if index < 0]
-    looked = resting or list(data.leftovers)
-    seen = mains_seen(looked, data.mains)
-    if seen is None:
-        return []
-    where = "at rest" if resting else "under way"
-    lines = ", ".join(f"{one:.1f}" for one in seen.strongest)
-    strongest = [f"{n} {_strongest(looked, c, data.mains)}" for c, n in enumerate(data.channels.names)]
-    reference = f"reference {_strongest(looked, None, data.mains)}"
-    return [
-        f"mains lines {where} at {lines} Hz, kept apart from the drive's harmonics; strongest: "
-        f"{', '.join([reference, *strongest])}; files have no common phase of the mains, so hum is not compared"
-    ]
-
-
-def _strongest(leftovers: Sequence[Leftover], channel: int | None, mains: float) -> str:
-    """The strongest mains line of a channel (None: of the reference) in words."""
-    best = (0.0, 0)
-    for left in leftovers:
-        size = np.abs(left.reference if channel is None else left.amplitude[:, channel])
-        for order in range(1, math.floor((len(size) - 3) * left.resolution / mains) + 1):
-            k = round(order * mains / left.resolution)
-            near = slice(k - 2, k + 3)
-            if not left.taken[near].any():
-                best = max(best, (float(size[near].max()), order))
-    return f"{best[0]:.2g} at {best[1] * mains:g} Hz"

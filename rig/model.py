@@ -17,7 +17,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +43,21 @@ from rig.motion import Array, Complexes, Grid, Motion, Periods, Stretches
 Stage = Literal["reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise"]
 Values = Mapping[str, float]
 BOTH: tuple[Quantity, ...] = ("acceleration", "rate")
-# kinds of experiment: the rig's own two, and imported ones: turned about one axis, moved freely, poses against gravity
-EVERYWHERE = ("shaker", "turntable", "rotation", "free", "poses")
+EXPERIMENTS: Mapping[str, str] = {
+    "shaker": "shaker", "turntable": "turntable", "rotation": "imported rotations", "free": "imported free motion",
+    "poses": "poses against gravity",
+}  # fmt: skip
+"""What a part is of, and where an effect can show, by its word: the rig's own two benches, and others."""
+EVERYWHERE = tuple(EXPERIMENTS)
+if TYPE_CHECKING:
+    Experiment = str
+else:
+    Experiment = Literal[EVERYWHERE]
 
 __all__ = [
-    "BOTH", "EVERYWHERE", "NEXT", "SI", "Added", "Array", "Bend", "Channels", "Complexes", "Coordinate", "Drift",
-    "Effect", "Expression", "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing", "Parameter", "Periods",
-    "Quantity", "Shares", "Stage", "Stretches", "Term", "Values", "arms", "at_work", "volts",
+    "BOTH", "EVERYWHERE", "EXPERIMENTS", "NEXT", "SI", "Added", "Array", "Bend", "Channels", "Complexes", "Coordinate",
+    "Drift", "Effect", "Experiment", "Expression", "Filtered", "Inverse", "Late", "Local", "Lost", "Motion", "Nothing",
+    "Parameter", "Periods", "Quantity", "Shares", "Stage", "Stretches", "Term", "Values", "arms", "at_work", "volts",
 ]  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from rig.bench.operators import Answers
 from rig.cli import EXIT_CODES, SECTIONS, cli
 from rig.cli.effects import reference_page
 from rig.cli.onward import Carried
-from rig.foreign.manifest import Manifest
+from rig.foreign.manifest import KINDS, Manifest
 from rig.repair.model_file import Model
 from rig.shelf import shelf
 from rig.yaml.config import json_schema
@@ -43,6 +43,8 @@ MODELS: Mapping[str, Callable[[], type[BaseModel]]] = {
     "sensor": lambda: SensorFile,
     "standard": lambda: Standard,
 }
+MANIFEST = "docs/reference/manifest.md"
+BEGIN, END = "<!-- kinds, made by `make pages` -->", "<!-- end of kinds -->"
 SHARED = 5  # so many commands have an option in the same words: it is described once
 HEAD = """\
 # Commands
@@ -64,8 +66,17 @@ def files() -> dict[str, str]:
     """Every page that the code makes, by its path in the repository."""
     made = {f"{SCHEMAS}/{name}.json": as_text(schema) for name, schema in schemas().items()}
     return {
-        "docs/reference/commands.md": commands_page(), "docs/reference/effects.md": reference_page(shelf()), **made,
+        "docs/reference/commands.md": commands_page(), "docs/reference/effects.md": reference_page(shelf()),
+        MANIFEST: manifest_page((ROOT / MANIFEST).read_text(encoding="utf-8")), **made,
     }  # fmt: skip
+
+
+def manifest_page(page: str) -> str:
+    """The page of manifests with its table of kinds anew; the rest is written by hand."""
+    rows = [(f"`{name}`", kind.done, kind.needs) for name, kind in KINDS.items()]
+    before, _, rest = page.partition(BEGIN)
+    table = _table(("kind", "what was done", "needs"), rows)
+    return f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}"
 
 
 def schemas() -> dict[str, dict[str, Any]]:

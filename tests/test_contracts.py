@@ -24,6 +24,9 @@ PLANTED = {
     "An effect knows the model it is part of, how it is undone, the motion, and units": (
         "rig/effects/cubic.py", "rig.archive.records",
     ),
+    "Readers of kinds of foreign data do not know one another": (
+        "rig/parts/reading/kinds/poses.py", "rig.parts.reading.kinds.sweep",
+    ),
 }  # fmt: skip
 
 

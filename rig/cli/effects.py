@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from rig.model import Effect, Parameter
 
 STAGES = ("reference", "motion", "transducer", "dynamics", "electronics", "sampling", "noise")
-PLACES = {
-    "shaker": "shaker", "turntable": "turntable", "rotation": "imported rotations", "free": "imported free motion",
-    "poses": "imported poses",
-}  # fmt: skip
 HEAD = """\
 # The shelf of effects
 
@@ -120,11 +116,12 @@ def _entry(one: Effect) -> Iterator[str]:
 def _said(one: Effect) -> Iterator[tuple[str, str]]:
     """What there is to say of an effect, as pairs of head and text."""
     from rig.diagnose.unseen import TESTED
+    from rig.model import EXPERIMENTS
 
     yield "missing", one.missing
     yield "channels", " or ".join(one.quantities) or "all alike"
-    places = [PLACES[place] for place in one.places]
-    yield "shows on", "every kind of experiment" if len(places) == len(PLACES) else _listed(places)
+    places = [EXPERIMENTS[place] for place in one.places]
+    yield "shows on", "every kind of experiment" if len(places) == len(EXPERIMENTS) else _listed(places)
     if one.confused_with:
         yield "confused with", ", ".join(one.confused_with)
     yield "separated by", one.separate_by

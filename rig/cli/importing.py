@@ -101,11 +101,12 @@ def read_as_json(read: Read, name: str | None) -> dict[str, Any]:
 
 def read_text(read: Read) -> list[str]:
     """What was read, channel by role, and what is wrong with it."""
-    from rig.foreign.importing import KINDS, rate_of
+    from rig.foreign.importing import rate_of
+    from rig.foreign.manifest import KINDS
 
     made, data = read.manifest, read.data
     title = " ".join(part for part in (made.unit.maker, made.unit.model) if part)
-    lines = [f"{KINDS[made.kind]} of {made.unit.serial}" + (f" ({title})" if title else "")]
+    lines = [f"{KINDS[made.kind].title} of {made.unit.serial}" + (f" ({title})" if title else "")]
     width = max(len(file.table.label) for file in read.files)
     for file in read.files:
         rate = rate_of(data, file.table)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.foreign import lines as foreign_lines
 from rig.foreign import pairs as foreign_pairs
-from rig.foreign.manifest import Column
+from rig.foreign.manifest import KINDS, Column
 from rig.foreign.pairs import Finding
 from rig.foreign.tables import Foreign, Table
 
@@ -48,7 +48,7 @@ def _of_table(data: Foreign, table: Table) -> Iterator[Finding]:
     if data.manifest.time is not None and data.manifest.time.column is not None:
         yield from _of_time(data, table)
     yield from _of_values(data, table)
-    if data.manifest.kind != "response":
+    if KINDS[data.manifest.kind].timed:
         yield from _of_whole_rows(data, table)
     yield from foreign_pairs.findings(data, table)
     yield from foreign_lines.findings(data, table)
@@ -161,7 +161,7 @@ def _of_values(data: Foreign, table: Table) -> Iterator[Finding]:
     yield from _not_numbers(data, table)
     for column in data.manifest.columns:
         values = table.of(column.column)
-        if column.quantity == "quaternion" or column.quantity in STILL or data.manifest.kind == "response":
+        if column.quantity == "quaternion" or column.quantity in STILL or not KINDS[data.manifest.kind].timed:
             continue
         finite = values[np.isfinite(values)]
         if len(finite) < 2 * FROZEN:

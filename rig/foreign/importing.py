@@ -18,22 +18,13 @@ import numpy as np
 
 from rig.archive.runs import Runs
 from rig.errors import BadInput, ConfigError, Problem
-from rig.foreign import manifest
 from rig.foreign import readers as foreign_files
 from rig.foreign.checks import Finding, findings
-from rig.foreign.manifest import Manifest, Reading, Source, as_json
+from rig.foreign.manifest import KINDS, Manifest, Reading, Source, as_json
+from rig.foreign.manifest_file import load
 from rig.foreign.tables import PROCEDURE, Array, Foreign, Table
 from rig.yaml import config
 from rig.yaml.document import Document, KeyPath
-
-KINDS = {
-    "response": "frequency response",
-    "sweep": "shaker sweep",
-    "rotation": "rotation",
-    "motion": "free motion",
-    "poses": "still poses",
-    "static": "record at rest",
-}
 
 
 @dataclass(frozen=True)
@@ -72,7 +63,7 @@ def open_manifest(path: Path, folder: Path | None = None) -> Read:
 
     Raises ConfigError with every mistake by file, line and column.
     """
-    made = manifest.load(path)
+    made = load(path)
     document = config.read(path)
     problems: list[Problem] = []
     files: list[File] = []
@@ -120,7 +111,7 @@ def _read(document: Document, made: Manifest, number: int, source: Source, folde
         raise
     except BadInput as error:
         raise ConfigError([document.problem(at, f"{source.path}: {error}")]) from error
-    if made.kind != "response" and len(values) < 2:
+    if KINDS[made.kind].timed and len(values) < 2:
         raise ConfigError([document.problem(at, f"{source.path}: found {len(values)} row, wanted a record")])
     table = Table(source.label or path.stem, names, values, dict(source.settings), source.held_out)
     return File(source, hashlib.sha256(raw).hexdigest(), len(raw), table)
@@ -183,7 +174,7 @@ def _header(read: Read, runs: Runs) -> dict[str, Any]:
     made = read.manifest
     return {
         "simulated": False,
-        "title": f"imported {KINDS[made.kind]} of {made.unit.serial}",
+        "title": f"imported {KINDS[made.kind].title} of {made.unit.serial}",
         "started": runs.now(),
         "points_total": len(read.files),
         "imported": as_json(made),

@@ -1,7 +1,7 @@
 """What foreign data are, as their owner says it in a YAML file: `rig import MANIFEST.yaml` reads it.
 
     format: 1
-    kind: rotation                      # response, sweep, rotation, motion, poses or static
+    kind: rotation                      # one of KINDS
     unit: {serial: MPU6050-moving, model: MPU-6050}
     provenance: {source: "https://…", licence: MIT, citation: …, note: …}
     files: [{path: yaw_medium_120s.csv, label: yaw medium}]
@@ -18,20 +18,15 @@ A device's column is in a physical unit, or in counts with a sensitivity ("170 c
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from rig import units
-from rig.errors import ConfigError, Problem
-from rig.foreign import meaning
 from rig.units import Acceleration, Angle, Frequency, Length, Ratio, Time
-from rig.yaml import config
-from rig.yaml.document import Document
 
-Kind = Literal["response", "sweep", "rotation", "motion", "poses", "static"]
 Role = Literal["device", "reference", "drive", "condition"]
 Axis = Literal["x", "y", "z"]
 Signed = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -48,6 +43,119 @@ UNIT_KINDS: dict[str, str] = {
 }  # fmt: skip
 SI_OF = {"acceleration": "m/s²", "rate": "rad/s"}
 _PER = re.compile(r"\s*([-+0-9.eE]+)\s*(\S+)\s+per\s+(\S.*?)\s*")
+
+
+# kinds of data
+
+
+@dataclass(frozen=True)
+class Read:
+    """Columns of which a key says something: of a role, and of these quantities; all where none are named."""
+
+    role: Role
+    quantities: frozenset[str] = frozenset()
+
+    def holds(self, role: str, quantity: str) -> bool:
+        """Whether such a column is among them."""
+        return self.role == role and (not self.quantities or quantity in self.quantities)
+
+
+@dataclass(frozen=True)
+class DataKind:
+    """A kind of foreign data, and all that a manifest says of it alone.
+
+    `title` in words, what was `done` and what it `needs`, for a reader; columns that are `wanted`, by role and
+    quantity ("" for any). `timed`: rows are samples in time. `axes`: a device's channels must say theirs. `keys` of
+    the file, and of its `columns`, that say something: what no code would read is refused, with what is right
+    `instead`.
+    """
+
+    title: str
+    done: str
+    needs: str
+    wanted: tuple[tuple[Role, str], ...] = ()
+    timed: bool = True
+    axes: bool = True
+    keys: frozenset[str] = frozenset()
+    columns: Mapping[str, tuple[Read, ...]] = field(default_factory=dict)
+    instead: Mapping[str, str] = field(default_factory=dict)
+
+
+def _at(role: Role, *quantities: str) -> Read:
+    return Read(role, frozenset(quantities))
+
+
+RATIO = ("magnitude", "real")
+FELT = ("acceleration", "rate", "unstated", "voltage")
+LINES = ("line_a", "line_b", "index_line")
+UNCERTAIN = ("uncertainty", "uncertainty_column", "coverage")
+TOLERANCE = {"tolerance": (_at("device", *FELT, *RATIO),)}
+SAMPLED = {**TOLERANCE, "bandwidth": (_at("device", *FELT),)}
+BANDS = {"compared", "compared.rate_band", "compared.force_band", "compared.held_out"}
+KINDS: Mapping[str, DataKind] = {
+    "response": DataKind(
+        "frequency response", "a table over frequency: magnitude and phase, or real and imaginary part",
+        "a reference `frequency`", wanted=(("reference", "frequency"),), timed=False, axes=False,
+        keys=frozenset({"gravity", "standard"}),
+        columns={
+            **TOLERANCE, **dict.fromkeys(UNCERTAIN, (_at("device"),)), "bandwidth": (_at("device", *RATIO),),
+            "gain_uncertainty": (_at("reference", "excitation"), _at("device", *RATIO)),
+        },
+        instead={
+            "delay": ": a response's phase has it already",
+            "gain_uncertainty": ": it belongs to the excitation, or to the magnitude",
+            "compared": ": `held_out: true` marks a file, else every third frequency is held out",
+        },
+    ),
+    "sweep": DataKind(
+        "shaker sweep", "a shaker, with a second accelerometer as reference", "a reference; time",
+        wanted=(("reference", ""),), axes=False, keys=frozenset({"time", "mains", "gravity", "standard"}),
+        columns={
+            **SAMPLED, "delay": (_at("device"), _at("reference")),
+            "gain_uncertainty": (_at("reference", "acceleration", "unstated", "voltage"),),
+        },
+        instead={"compared": ": `held_out: true` marks a file, else every third point is held out"},
+    ),
+    "rotation": DataKind(
+        "rotation", "turned about one axis, with an encoder",
+        "a reference `angle`, or `line_a` and `rotation.lines`; time",
+        keys=frozenset({"time", "rotation", "segments", "gravity", "standard", *BANDS}),
+        columns={
+            **SAMPLED, **dict.fromkeys(UNCERTAIN, (_at("reference", "angle"),)),
+            "delay": (_at("device"), _at("reference", "angle", *LINES)),
+            "gain_uncertainty": (_at("reference", "angle"),),
+        },
+        instead={"gain_uncertainty": ": it belongs to the reference's angle; an encoder's lines close in a turn"},
+    ),
+    "motion": DataKind(
+        "free motion", "moved freely before cameras", "a reference `quaternion` and `position`; time",
+        keys=frozenset({"time", "pose", "gravity", "standard", *BANDS}),
+        columns={
+            **SAMPLED, "component": (_at("reference", "quaternion"),),
+            "delay": (_at("device"), _at("reference", "position", "quaternion")),
+            "gain_uncertainty": (_at("reference", "position"),),
+        },
+        instead={"gain_uncertainty": ": it belongs to the positions"},
+    ),
+    "poses": DataKind(
+        "still poses", "held still in many attitudes; perhaps turned by known angles between them", "time",
+        keys=frozenset(
+            {"time", "segments", "gravity", "gravity.uncertainty", "standard", "compared", "compared.held_out"}
+        ),
+        columns=TOLERANCE,
+        instead={
+            "gain_uncertainty": ": gravity is the reference, and gravity.uncertainty says how well it is known",
+        },
+    ),
+    "static": DataKind("record at rest", "at rest", "time", keys=frozenset({"time"}), columns=TOLERANCE),
+}  # fmt: skip
+if TYPE_CHECKING:
+    Kind = str
+else:
+    Kind = Literal[tuple(KINDS)]
+
+
+# keys
 
 
 class Strict(BaseModel):
@@ -147,7 +255,7 @@ class Column(Strict):
     def scale(self) -> float:
         """Numbers of the file per SI unit: value in SI = (number − zero) / scale for what has a plain unit."""
         if self.sensitivity is not None:
-            return _per(self.sensitivity, self.quantity)
+            return per(self.sensitivity, self.quantity)
         kind = UNIT_KINDS[self.quantity]
         if not kind or not self.unit:
             return 1.0
@@ -252,7 +360,7 @@ class Manifest(Strict):
 
 def referred_to(made: Manifest) -> str:
     """What the device was compared with, in words, as the manifest describes it."""
-    if made.kind == "poses":
+    if "gravity.uncertainty" in KINDS[made.kind].keys:
         turns = " and turns by known angles" if any(one.turn for one in made.segments) else ""
         return f"local gravity, {made.gravity.value:g} m/s², u = {made.gravity.uncertainty:g} m/s²{turns}"
     named = [one for one in made.columns if one.role == "reference" and one.quantity not in ("frequency",)]
@@ -262,17 +370,7 @@ def referred_to(made: Manifest) -> str:
     return f"{columns}; {', '.join(known)}"
 
 
-def load(path: Path) -> Manifest:
-    """Read a manifest. Raises ConfigError that names every mistake by file, line, column and key."""
-    document = config.read(path)
-    made = config.validate(document, Manifest)
-    problems = sorted(mistakes(document, made))
-    if problems:
-        raise ConfigError(problems)
-    return made
-
-
-def _per(text: str, quantity: str) -> float:
+def per(text: str, quantity: str) -> float:
     """Numbers per SI unit from "170 counts per m/s²"; raises ValueError with what was wanted."""
     wanted = f"found '{text}', wanted text such as '170 counts per {SI_OF.get(quantity, 'V')}'"
     found, kind = _PER.fullmatch(text), UNIT_KINDS.get(quantity, "")
@@ -286,175 +384,6 @@ def _per(text: str, quantity: str) -> float:
     if number == 0.0:
         raise ValueError(wanted)
     return number * unit.divide / unit.multiply
-
-
-NEEDED: dict[str, tuple[tuple[Role, str], ...]] = {
-    "response": (("reference", "frequency"),),
-    "sweep": (),
-    "rotation": (),
-    "motion": (),
-    "poses": (),
-    "static": (),
-}
-
-
-def mistakes(document: Document, made: Manifest) -> Iterator[Problem]:
-    """What the types cannot say."""
-    yield from _of_columns(document, made)
-    yield from _of_kind(document, made)
-    yield from _of_rotation(document, made)
-    yield from _unread(document, made)
-    if made.reading.decimal == made.reading.delimiter:
-        yield document.problem(
-            ("reading",), "found the comma as delimiter and as decimal sign, wanted another delimiter"
-        )
-    if made.time is not None:
-        given = [made.time.column is not None, made.time.rate is not None, made.time.interval is not None]
-        if sum(given) != 1:
-            yield document.problem(("time",), f"found {sum(given)} of column, rate and interval, wanted one")
-        elif made.time.unit not in units.KINDS["time"].units:
-            yield document.problem(("time", "unit"), f"found '{made.time.unit}', wanted a unit such as 's' or 'ms'")
-
-
-def _of_columns(document: Document, made: Manifest) -> Iterator[Problem]:
-    names: set[str] = set()
-    for number, one in enumerate(made.columns):
-        at = ("columns", number)
-        if one.channel in names:
-            yield document.problem(at, f"found the channel '{one.channel}' twice, wanted another name")
-        names.add(one.channel)
-        kind = UNIT_KINDS[one.quantity]
-        if one.sensitivity is not None:
-            try:
-                _per(one.sensitivity, one.quantity)
-            except ValueError as error:
-                yield document.problem((*at, "sensitivity"), str(error))
-        elif kind and one.unit not in units.KINDS[kind].units:
-            wanted = units.KINDS[kind]
-            yield document.problem((*at, "unit"), f"found '{one.unit}', wanted the unit of {wanted.wanted}")
-        if one.uncertainty is not None and (said := _wrong(one.uncertainty, kind)):
-            yield document.problem((*at, "uncertainty"), said)
-        needs_axis = (one.role == "device" and one.quantity in SI_OF) or one.quantity == "position"
-        if needs_axis and one.axis is None and made.kind not in ("response", "sweep"):
-            yield document.problem((*at, "axis"), "found nothing, wanted x, y or z")
-        if one.quantity == "quaternion" and one.component is None:
-            yield document.problem((*at, "component"), "found nothing, wanted w, x, y or z")
-
-
-def _wrong(text: str, kind: str) -> str:
-    """What is wrong with a quantity in text, "" if nothing."""
-    try:
-        units.parse(text, kind or "ratio")
-    except units.UnitError as error:
-        return str(error)
-    return ""
-
-
-def _of_kind(document: Document, made: Manifest) -> Iterator[Problem]:
-    device = made.of("device")
-    if not device:
-        yield document.problem(("columns",), "found no column of the device, wanted one with role: device")
-    for role, quantity in NEEDED[made.kind]:
-        if not made.of(role, quantity):
-            yield document.problem(("columns",), f"found no {role} column of {quantity}, wanted one for a {made.kind}")
-    if made.kind == "response":
-        there = {one.quantity for one in device}
-        if not ({"magnitude", "phase"} <= there or {"real", "imaginary"} <= there):
-            yield document.problem(("columns",), "found no response, wanted magnitude and phase or real and imaginary")
-    if made.kind == "rotation":
-        if made.rotation is None:
-            yield document.problem((), "found no key 'rotation', wanted it to say the axis")
-        quantities = {one.quantity for one in made.of("reference")}
-        if not ({"angle"} <= quantities or {"line_a"} <= quantities):
-            yield document.problem(("columns",), "found no reference of angle, wanted one, or an encoder's line_a")
-        elif "angle" not in quantities and made.rotation is not None and made.rotation.lines is None:
-            yield document.problem(("rotation", "lines"), "found nothing, wanted the encoder's lines per revolution")
-    if made.kind == "motion":
-        yield from _of_motion(document, made)
-    if made.kind == "sweep" and not made.of("reference"):
-        yield document.problem(("columns",), "found no reference, wanted a column with role: reference")
-    if made.kind not in ("response",) and made.time is None:
-        yield document.problem((), "found no key 'time', wanted a column of time stamps, a rate or an interval")
-    if len(made.files) > 1 and made.segments and made.kind in ("poses", "rotation"):
-        yield document.problem(("segments",), f"found segments and {len(made.files)} files, wanted one file")
-    for number, one in enumerate(made.segments):
-        if one.last <= one.first:
-            yield document.problem(("segments", number, "last"), f"found {one.last}, wanted more than {one.first}")
-        if (one.turn is None) != (one.angle is None):
-            yield document.problem(("segments", number), "found turn or angle alone, wanted both")
-
-
-def _of_rotation(document: Document, made: Manifest) -> Iterator[Problem]:
-    """Axes and radius of a rotation that do not go together, and segments that do not lie on its axis."""
-    turned = made.rotation
-    if made.kind != "rotation" or turned is None:
-        return
-    for key in ("outward", "radius_uncertainty"):
-        if getattr(turned, key) and not turned.radius:
-            yield document.problem(("rotation", key), f"found '{getattr(turned, key)}' without a radius, wanted one")
-    if turned.outward is not None and turned.outward[1] == turned.axis:
-        yield document.problem(
-            ("rotation", "outward"), f"found '{turned.outward}', wanted an axis across {turned.axis}"
-        )
-    if turned.lines is not None and made.of("reference", "angle"):
-        yield document.problem(("rotation", "lines"), "found lines beside an angle, wanted one of them")
-    for number, one in enumerate(made.segments):
-        if one.turn is not None:
-            yield document.problem(("segments", number, "turn"), f"found '{one.turn}', wanted nothing in a rotation")
-        if one.up is not None and (one.up[1] == turned.axis) != turned.upright:
-            wanted = f"+{turned.axis} or -{turned.axis}" if turned.upright else f"an axis across {turned.axis}"
-            yield document.problem(("segments", number, "up"), f"found '{one.up}', wanted {wanted}")
-
-
-def _unread(document: Document, made: Manifest) -> Iterator[Problem]:
-    """Keys that would change nothing."""
-    inner = {f"gravity.{name}" for name in made.gravity.model_fields_set}
-    inner |= {f"compared.{name}" for name in made.compared.model_fields_set}
-    for key, wanted in meaning.of_file(made.kind, made.model_fields_set | inner):
-        yield document.problem(tuple(key.split(".")), f"found '{key.split('.')[-1]}', {wanted}")
-    for number, one in enumerate(made.columns):
-        at = ("columns", number)
-        for key, wanted in meaning.of_column(made.kind, one.role, one.quantity, one.model_fields_set):
-            yield document.problem((*at, key), f"found '{key}', {wanted}")
-        if "coverage" in one.model_fields_set and one.uncertainty is None and one.uncertainty_column is None:
-            yield document.problem((*at, "coverage"), "found it alone, wanted an uncertainty that it covers")
-        if one.uncertainty is not None and one.uncertainty_column is not None:
-            yield document.problem((*at, "uncertainty"), "found it beside uncertainty_column, wanted one of them")
-    yield from _together(document, made)
-    base = made.time
-    if base is not None and base.column is None:
-        for key in sorted(base.model_fields_set & {"unit", "jitter"}):
-            yield document.problem(("time", key), f"found '{key}' without a column of time stamps, wanted one")
-
-
-def _together(document: Document, made: Manifest) -> Iterator[Problem]:
-    """What belongs to a whole reference, of which one column says it and another says otherwise."""
-    groups: dict[str, list[tuple[str, ...]]] = {
-        "rotation": [("line_a", "line_b", "index_line")],
-        "motion": [("position", "quaternion"), ("position",)],
-    }
-    for quantities in groups.get(made.kind, ()):
-        there = [
-            (k, one) for k, one in enumerate(made.columns) if one.role == "reference" and one.quantity in quantities
-        ]
-        for key in ("delay", "gain_uncertainty") if len(quantities) != 2 else ("delay",):
-            for number, one in there[1:]:
-                if getattr(one, key) != getattr(there[0][1], key):
-                    said = f"found another {key} than that of {there[0][1].channel}, wanted one for the whole reference"
-                    yield document.problem(("columns", number), said)
-
-
-def _of_motion(document: Document, made: Manifest) -> Iterator[Problem]:
-    """A track needs every component of position and attitude, and how the attitude is to be read."""
-    if made.pose is None:
-        yield document.problem((), "found no key 'pose', wanted it to say how the quaternion turns and which way is up")
-    for quantity, names in (("quaternion", "wxyz"), ("position", "xyz")):
-        columns = made.of("reference", quantity)
-        there = [one.component if quantity == "quaternion" else one.axis for one in columns]
-        lacking = [name for name in names if name not in there]
-        if lacking:
-            text = f"found no reference column of {quantity} {', '.join(lacking)}, wanted {', '.join(names)}"
-            yield document.problem(("columns",), text)
 
 
 def as_json(made: Manifest) -> dict[str, Any]:

@@ -54,15 +54,11 @@ class ReferenceGain(Effect):
         return replace(motion, force=still + (motion.force - still) / (1.0 + at["relative"]))
 
 
-PLACES = {"sweep": "shaker", "response": "shaker", "rotation": "rotation", "motion": "free"}
-
-
-def gains_of(foreign: Foreign, parts: Sequence[str]) -> list[Term]:
+def gains_of(foreign: Foreign, experiment: str, parts: Sequence[str]) -> list[Term]:
     """Gains of the references of an imported run, each within what is stated; the three positions have one."""
-    made = foreign.manifest
-    stated = {_called(one): one.gain_uncertainty for one in made.columns if one.gain_uncertainty}
+    stated = {_called(one): one.gain_uncertainty for one in foreign.manifest.columns if one.gain_uncertainty}
     return [
-        Term(ReferenceGain(name, PLACES[made.kind], parts), None, {"relative": 0.0}, {"relative": u})
+        Term(ReferenceGain(name, experiment, parts), None, {"relative": 0.0}, {"relative": u})
         for name, u in stated.items()
     ]
 

@@ -36,7 +36,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from rig.errors import BadInput, ConfigError, Problem
-from rig.model import BOTH, EVERYWHERE, Effect, Quantity, Term
+from rig.model import BOTH, EVERYWHERE, Effect, Experiment, Quantity, Term
 from rig.yaml import config
 from rig.yaml.document import Document, KeyPath
 
@@ -86,7 +86,7 @@ class Entry(Strict):
     effect: str
     formula: str | None = None
     on: Quantity | None = None
-    places: tuple[Literal["shaker", "turntable", "rotation", "free", "poses"], ...] | None = None
+    places: tuple[Experiment, ...] | None = None
     channels: tuple[str, ...] = ()
     units: dict[str, str] = Field(default_factory=dict)
     values: dict[str, float] = Field(default_factory=dict)

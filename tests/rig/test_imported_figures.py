@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rig.diagnose.misfit import compare
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
-from rig.foreign import manifest
+from rig.foreign.manifest_file import load
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Term
 from rig.parts.part import Part
@@ -47,7 +47,7 @@ def read(folder: Path, text: str, data: Mapping[str, Array], run: str) -> Foreig
     path = folder / f"{run}.yaml"
     path.write_text(text, encoding="utf-8")
     table = Table("made", tuple(data), np.stack(list(data.values()), axis=1), {}, False)
-    return Foreign(run, manifest.load(path), (table,), ())
+    return Foreign(run, load(path), (table,), ())
 
 
 def table(folder: Path, polarity: float = 0.0, run: str = "table") -> ResponseTable:

@@ -13,7 +13,8 @@ from pydantic import BaseModel
 
 from rig.errors import ConfigError
 from rig.foreign import manifest
-from rig.foreign.manifest import Column, Manifest, from_json, load
+from rig.foreign.manifest import Column, Manifest, from_json
+from rig.foreign.manifest_file import load
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "configs" / "imports").glob("*.yaml"))

@@ -25,7 +25,8 @@ from rig.cli.outcome import run_as_text
 from rig.errors import BadInput, ConfigError
 from rig.foreign import manifest
 from rig.foreign.importing import Read, keep, open_manifest
-from rig.foreign.manifest import Manifest, load
+from rig.foreign.manifest import KINDS, Manifest
+from rig.foreign.manifest_file import load
 from rig.parts.reading.imported import parts_of
 from rig.parts.reading.rest import at_rest
 
@@ -374,9 +375,10 @@ def test_a_key_that_would_change_nothing_is_refused_where_it_stands(tmp_path: Pa
     assert "wanted" in str(problem)
 
 
-def test_everything_that_a_rule_names_is_a_key() -> None:
-    from rig.foreign import meaning
-
-    assert set(meaning.COLUMNS) <= set(manifest.Column.model_fields)
-    assert {key.partition(".")[0] for key in meaning.FILE} <= set(Manifest.model_fields)
-    assert set(typing.get_args(manifest.Kind)) == meaning.ALL
+def test_everything_that_a_kind_of_data_names_is_a_key() -> None:
+    for kind in KINDS.values():
+        assert set(kind.columns) <= set(manifest.Column.model_fields)
+        for outer, _, inner in (key.partition(".") for key in kind.keys):
+            known = Manifest.model_fields[outer].annotation
+            assert not inner or inner in known.model_fields
+    assert set(typing.get_args(manifest.Kind)) == set(KINDS)

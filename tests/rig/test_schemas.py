@@ -28,7 +28,7 @@ from rig.bench.clock import SystemClock
 from rig.bench.operators import AnswersOperator
 from rig.cli import cli
 from rig.errors import ConfigError
-from rig.foreign import manifest
+from rig.foreign import manifest_file
 from rig.repair import model_file
 from rig.shelf import shelf
 from rig.yaml import config
@@ -128,7 +128,7 @@ def _world(path: Path) -> object:
 READERS: dict[str, Callable[[Path], object]] = {
     "answers": lambda path: AnswersOperator.load(path, SystemClock()),
     "bench": _bench,
-    "manifest": manifest.load,
+    "manifest": manifest_file.load,
     "model": lambda path: model_file.load(path, shelf()),
     "procedure": _procedure,
     "sensor": lambda path: config.load(path, SensorFile),

@@ -11,7 +11,7 @@ from rig.parts.reading.reading import Reading
 
 Reader = Callable[[Sequence[Recorded]], Reading]
 READERS: tuple[Reader, ...] = (sweep.read, turntable.read, tumble.read, still.read, imported.read)
-"""Each takes of the runs what it can read. A new kind of experiment adds one here, or to `imported.KINDS`."""
+"""Each takes of the runs what it can read. A new kind of experiment of the rig's own adds one here."""
 
 
 def read(runs: Sequence[Recorded]) -> Reading:

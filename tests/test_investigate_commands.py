@@ -223,6 +223,9 @@ def test_the_demonstration_hides_an_effect_that_the_bench_reveals(tmp_path: Path
         assert sorted(found["runs"]) == _taken(runs)
         effects = asked(runs, "bench", "reveal", "--bench", str(bench))["effects"]
         assert len(effects) == 1
-        assert effects[0]["name"]
+        with pytest.raises(BadInput, match="use another folder") as refused:
+            said(runs, "demo", "hidden", "--seed", "4", "--yes", "--bench", str(bench))
+        assert effects[0]["name"] not in str(refused.value)
+        assert "hides something else" in str(refused.value)
     finally:
         control.stop(state_folder(describe(bench), runs))

@@ -291,8 +291,7 @@ not noise of the sensor. The last column says more than a comparison below 5 Hz 
 encoder almost fully, near 47 Hz it does not (nor is that a line near 53 Hz folded by the sampling of 100 Hz: the speed
 says 47). So part of the 12 ms is likely a low-pass filter in the sensor. `rig compare` says the same of the slow trials
 by itself ("real motion above the band, in gyro and encoder alike: lines at 12.8 Hz"); the line at 47 Hz it does not
-name,
-because jitter of the time stamps takes the coherence of gyro and encoder away there.
+name, because jitter of the time stamps takes the coherence of gyro and encoder away there.
 
 **What is left over.** Jitter of the logger, the encoder's steps, and the shaking. {arm}
 

@@ -56,6 +56,12 @@ def floor_from(stated: Mapping[str, Any], where: str) -> Floor:
     return found
 
 
+ELSEWHERE = (
+    "how much ripple a mounting makes is not known here: it looks like physics of the sensor; mounted once more, the "
+    "sensor would show it again and the mounting would not"
+)
+
+
 def said(floor: Floor | None) -> str:
     """What is to be said of the ripple, in one sentence."""
     if floor is None:

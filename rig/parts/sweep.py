@@ -30,7 +30,7 @@ from rig.parts.formulas import OF_SHAKER
 from rig.parts.part import Option, Part
 from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
-from rig.parts.ripple import Floor, said
+from rig.parts.ripple import ELSEWHERE, Floor, said
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
 
 HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
@@ -264,7 +264,7 @@ class Sweep(Part):
         return self.data.axis
 
     def said_of_ripple(self, floor: Floor | None) -> tuple[str, ...]:
-        return (said(floor),)
+        return (said(floor) if floor is not None or self.data.vibrometer else ELSEWHERE,)
 
     def with_ripple(self, floor: Floor | None) -> Self:
         """With the floor's shapes as nuisances: each part of the response of each driven accelerometer."""

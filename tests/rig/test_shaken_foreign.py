@@ -234,3 +234,10 @@ def test_a_gain_takes_the_real_error_down_and_what_is_left_is_not_called_the_vib
     assert not [name for name in found.named if name.startswith("ldv_")]
     assert found.final.chi2 < 0.4 * found.base.chi2
     assert found.verdict == "unlisted"
+
+
+def test_no_command_of_the_bench_is_advised_for_a_sweep_that_somebody_else_made() -> None:
+    part = Sweep(sweeps(made(levels=(0.3, 1.0)))[0])
+    (said,) = part.said_of_ripple(None)
+    assert "mounted once more" in said
+    assert "rig " not in said

@@ -364,7 +364,11 @@ def _sorted(f: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _orthonormal(columns: Array) -> Array:
-    """An orthonormal basis of what these columns (n, k) span, (n, rank)."""
+    """An orthonormal basis of what the first of these columns (n, k) span, at most half as many as rows; (n, rank).
+
+    A filter with as many numbers as there are lines would explain noise as well. Derivatives stand last.
+    """
+    columns = columns[:, : max(len(columns) // 2, 1)]
     vectors, sizes, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
     return np.asarray(vectors[:, sizes > RESOLVED * sizes[0]])
 

@@ -198,6 +198,16 @@ def test_no_line_has_hardly_any_noise_though_the_filter_follows_it() -> None:
     assert (part.variance.max(axis=1) / part.variance.min(axis=1)).max() < 1e4
 
 
+@pytest.mark.parametrize("band", [0.6, 0.9, 1.5])
+def test_a_band_of_few_lines_has_its_noise_though_a_filter_could_follow_them_all(band: float) -> None:
+    wide, narrow = (evidence(motion(Unit(), seconds=20.0, bands=(6.0, f))).parts[0] for f in (6.0, band))
+    assert isinstance(wide, TrackedMotion)
+    assert isinstance(narrow, TrackedMotion)
+    here = (wide.frequency_of > 0.0) & (wide.frequency_of < 0.4)
+    ratio = np.sqrt(narrow.variance[3:, here].mean(axis=1) / wide.variance[3:, here].mean(axis=1))
+    assert np.all((ratio > 0.4) & (ratio < 2.5)), ratio
+
+
 def test_noise_that_is_louder_while_the_motion_is_counts_for_more_doubt() -> None:
     part = evidence(rotation(Unit(), channels="r", seconds=30.0)).parts[0]
     assert isinstance(part, TrackedMotion)

@@ -135,6 +135,26 @@ def tracked_manifest(path: str, pose: str = "body_to_world") -> str:
     return head + f"pose: {{quaternion: {pose}, up: z}}\n" + columns_text(TRACKED)
 
 
+def resting(seconds: float = 20.0, rate: float = 100.0, seed: int = 4) -> dict[str, Array]:
+    """A record at rest with z up, and nothing but noise."""
+    random = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    data = {"t_s": t, **{f"acc_{a}_g": float(a == "z") + 0.003 * random.normal(size=len(t)) for a in "xyz"}}
+    return data | {f"gyro_{a}_dps": 0.05 * random.normal(size=len(t)) for a in "xyz"}
+
+
+RESTING = {
+    **{f"acc_{a}_g": f"quantity: acceleration, unit: g, axis: {a}" for a in "xyz"},
+    **{f"gyro_{a}_dps": f"quantity: rate, unit: dps, axis: {a}" for a in "xyz"},
+}
+
+
+def resting_manifest(path: str, reading: str = "") -> str:
+    """The manifest of `resting`."""
+    head = HEAD.format(kind="static") + f"files: [{{path: {path}}}]\n{reading}time: {{column: t_s, unit: s}}\n"
+    return head + columns_text(RESTING)
+
+
 def responding(polarity: float = 0.0) -> dict[str, Array]:
     """A frequency-response table of a delay of 1.5 ms, repeated three times."""
     f = np.tile([10.0, 20.0, 40.0, 80.0, 160.0, 250.0], 3)

@@ -276,7 +276,7 @@ def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
     if not columns:
         return
     values = np.column_stack([table.of(one.column) for one in columns])
-    moving = values[:, np.nanstd(values, axis=0) > 0.0] if len(values) else values
+    moving = values[:, np.array([_moves(one) for one in values.T])]
     if moving.shape[1] == 0:
         return
     zeros = np.all(values == 0.0, axis=1)
@@ -291,6 +291,11 @@ def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
         first, n = max(stretches, key=lambda one: one[1])
         text = f"whole rows repeat in {len(stretches)} stretch{'' if len(stretches) == 1 else 'es'}"
         yield Finding("rows_repeat", table.label, f"{text}, the longest {n} rows from row {first}")
+
+
+def _moves(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0
 
 
 def _not_by_chance(zero: Mask, zeros: Mask) -> bool:

@@ -29,7 +29,7 @@ from rig.foreign.importing import foreign, rate_of, wanted
 from rig.foreign.manifest import UNIT_KINDS, Manifest
 from rig.foreign.pairs import AXES, still_magnitude
 from rig.foreign.readers import Csv
-from rig.foreign.tables import Array, Table
+from rig.foreign.tables import Array, Table, numbers
 from rig.units import KINDS, STANDARD_GRAVITY
 
 FASTEST = 35.0  # rad/s: 2000 °/s, where common gyros end
@@ -92,6 +92,7 @@ def _read(path: Path, folder: Path) -> Draft:
         raise BadInput(f"{path}: {error}") from error
     if not columns:
         raise BadInput(f"{path}: found no column of numbers with a name of its own, wanted some")
+    columns = {name: numbers(values) for name, values in columns.items()}
     label = re.sub(r"[^A-Za-z0-9 _-]+", "-", path.stem).strip("-_ ")[:60] or "import"
     where, said = os.path.relpath(path, folder), _comments(raw, form, how)
     return Draft(where, label, form, how, columns, left_out=left_out, said=said)
@@ -300,21 +301,36 @@ def _axis(draft: Draft) -> tuple[str, bool, str] | None:
     """Axis of rotation: the gyro that follows the angle; upright if its accelerometer shows gravity all the time."""
     angle = next(one for one in draft.named if one.quantity == "angle")
     scale = np.pi / 180.0 if angle.unit != "rad" else 1.0
-    step = np.diff(np.unwrap(draft.columns[angle.column] * scale))
+    step = np.diff(np.unwrap(_filled(draft.columns[angle.column]) * scale))
     best = (0.0, "")
     for one in draft.named:
         if one.quantity == "rate" and one.axis:
             smooth = np.ones(10) / 10.0
-            rate = np.convolve(draft.columns[one.column][1:], smooth, "same")
-            both = np.corrcoef(np.convolve(step, smooth, "same"), rate)[0, 1] * float(np.std(rate))
-            best = max(best, (abs(float(both)), one.axis)) if np.isfinite(both) else best
+            rate = np.convolve(_filled(draft.columns[one.column])[1:], smooth, "same")
+            turned = np.convolve(step, smooth, "same")
+            if np.ptp(rate) > 0.0 and np.ptp(turned) > 0.0:
+                both = np.corrcoef(turned, rate)[0, 1] * float(np.std(rate))
+                best = max(best, (abs(float(both)), one.axis))
     if not best[1]:
         return None
     along = next((o for o in draft.named if o.quantity == "acceleration" and o.axis == best[1]), None)
-    size = abs(float(np.nanmean(draft.columns[along.column]))) if along is not None else 0.0
+    size = abs(_mean(draft.columns[along.column])) if along is not None else 0.0
     upright = any(abs(size / g - 1.0) < 0.2 for g in (STANDARD_GRAVITY, 1.0))
     lies = f"its accelerometer shows {size:.3g} on average: {'upright' if upright else 'lying'}"
     return best[1], upright, f"the {best[1]} gyro follows {angle.column}; {lies}"
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else 0.0
+
+
+def _filled(values: Array) -> Array:
+    """The number before in place of what is none; zeros where there is no number at all."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return np.zeros(len(values))
+    return np.asarray(values[known[np.maximum(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0)]])
 
 
 def _directions(draft: Draft) -> int:
@@ -442,7 +458,8 @@ def _column(draft: Draft, one: Named, filled: bool) -> str:
 def _zero(draft: Draft, one: Named) -> tuple[int, str]:
     """What counts stand for nothing: the middle of 12, 16 or 24 bits if they are never negative, else 0."""
     values = draft.columns[one.column]
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     for bits in (12, 16, 24):
         if low >= 0.0 and 2 ** (bits - 1) < high < 2**bits:
             return 2 ** (bits - 1), f"{low:.0f} to {high:.0f}: {bits} bits around {2 ** (bits - 1)}, check"

@@ -169,7 +169,9 @@ def _drive(data: Foreign) -> Iterator[Finding]:
     for table in data.tables:
         drive = table.settings.get("drive")
         if isinstance(drive, float | int) and drive > 0.0:
-            stated.append((table.label, float(drive), float(np.nanstd(data.si(table, columns[0])))))
+            shown = data.si(table, columns[0])
+            known = shown[np.isfinite(shown)]
+            stated.append((table.label, float(drive), float(known.std()) if len(known) else 0.0))
     if len(stated) < 4:
         return
     usual = float(np.median([level / drive for _, drive, level in stated]))

@@ -182,6 +182,8 @@ def _of_sweep(data: Foreign, table: Table) -> list[Pair]:
 
 def slope_of(pair: Pair) -> tuple[float, float]:
     """The device's factor against the reference and their correlation; (nan, 0) where nothing moves."""
+    if not len(pair.true):
+        return math.nan, 0.0
     shown, true = pair.shown - pair.shown.mean(), pair.true - pair.true.mean()
     power, other = float(true @ true), float(shown @ shown)
     if power <= 0.0 or other <= 0.0:
@@ -409,7 +411,7 @@ def _complex(data: Foreign, table: Table) -> NDArray[np.complex128]:
 def _phase_unit(data: Foreign, table: Table) -> Iterator[Finding]:
     for column in data.manifest.of("device", "phase"):
         numbers = table.of(column.column)
-        largest = float(np.nanmax(np.abs(numbers)))
+        largest = float(np.max(np.abs(numbers[np.isfinite(numbers)]), initial=0.0))
         if column.unit == "rad" and 20.0 < largest <= 400.0:
             text = f"{column.channel} reaches {largest:.4g}, too much for rad; it would fit with ° instead of rad"
             yield Finding("unit", table.label, text)

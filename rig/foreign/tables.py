@@ -25,6 +25,12 @@ CONDITIONS = {
     "supply": "voltage",
 }  # what is logged beside a motion, and as which quantity
 CELSIUS = 273.15  # K at 0 °C
+LARGEST = 1e150  # beyond it a number marks something, as infinity does: its square is none
+
+
+def numbers(values: Array) -> Array:
+    """The same with NaN in place of infinities, and of what is as good as one."""
+    return np.where(np.abs(values) < LARGEST, values, math.nan)
 
 
 @dataclass(frozen=True)
@@ -38,8 +44,8 @@ class Table:
     held_out: bool
 
     def of(self, column: str) -> Array:
-        """One column as it stood in the file, (n,); KeyError if it was not kept."""
-        return self.values[:, self.names.index(column)]
+        """One column as it stood in the file, (n,), NaN for what is no number; KeyError if it was not kept."""
+        return numbers(self.values[:, self.names.index(column)])
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,9 @@ def _stated_up(foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]]) -> lis
             masks = []
             for piece, begin, end in runs:
                 stamps, time = foreign.time(piece.table)[one.first : one.last], piece.time[begin:end]
-                masks.append((time >= np.nanmin(stamps)) & (time <= np.nanmax(stamps)))
+                stamps = stamps[np.isfinite(stamps)]
+                first, last = stamps.min(initial=math.inf), stamps.max(initial=-math.inf)
+                masks.append((time >= first) & (time <= last))
             found.append((np.concatenate(masks), signed(one.up)))
     return found
 

@@ -21,7 +21,10 @@ FEWEST = 16  # rows, below which there is no noise to speak of
 
 @dataclass(frozen=True)
 class AtRest:
-    """One channel at rest: mean and standard deviation (SI), coefficients N (SI/√Hz), B (SI) and K (SI·√Hz)."""
+    """One channel at rest: mean and standard deviation (SI), coefficients N (SI/√Hz), B (SI) and K (SI·√Hz).
+
+    `reason` says why there is nothing of that.
+    """
 
     table: str
     channel: str
@@ -29,10 +32,13 @@ class AtRest:
     mean: float
     deviation: float
     coefficients: dict[str, Coefficient]
+    reason: str = ""
 
     @property
     def in_words(self) -> str:
         """One line."""
+        if self.reason:
+            return f"{self.table}, {self.channel}: no noise, {self.reason}"
         units = {"N": f"{self.unit}/√Hz", "B": self.unit, "K": f"{self.unit}·√Hz"}
         known = [
             f"{name} = {one.value:.4g} ± {2.0 * (one.u or 0.0):.2g} {units[name]}"
@@ -46,29 +52,37 @@ class AtRest:
 
 
 def at_rest(foreign: Foreign) -> Iterator[AtRest]:
-    """Every channel of the device in every file. Raises BadInput for a record that says nothing of its noise."""
+    """Every channel of the device in every file."""
     for table in foreign.tables:
         for column in foreign.manifest.of("device"):
             yield _channel(foreign, table, column)
 
 
 def _channel(foreign: Foreign, table: Table, column: Column) -> AtRest:
-    values, time = foreign.si(table, column), foreign.time(table)
-    if not np.isfinite(values).all():
-        raise BadInput(f"{table.label}, {column.channel}: found rows without a number, wanted a whole record at rest")
-    if len(values) < FEWEST:
-        raise BadInput(f"{table.label}, {column.channel}: found {len(values)} rows, wanted some hundred")
-    rate = 1.0 / _interval(f"{table.label}, time", time)
-    fitted = noise.fit(values, rate, step=step_of(values), pole=None)
     unit = SI_OF.get(column.quantity, "")
+    try:
+        return _known(foreign, table, column, unit)
+    except BadInput as error:
+        return AtRest(table.label, column.channel, unit, math.nan, math.nan, {}, str(error))
+
+
+def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
+    """Raises BadInput for a record that says nothing of its noise."""
+    values, time = foreign.si(table, column), foreign.time(table)
+    if lacking := int(np.count_nonzero(~np.isfinite(values))):
+        raise BadInput(f"found {lacking} rows without a number, wanted a whole record at rest")
+    if len(values) < FEWEST:
+        raise BadInput(f"found {len(values)} rows, wanted some hundred")
+    rate = 1.0 / _interval(time)
+    fitted = noise.fit(values, rate, step=step_of(values), pole=None)
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     return AtRest(table.label, column.channel, unit, mean, deviation, dict(noise.coefficients(fitted)))
 
 
-def _interval(where: str, time: Array) -> float:
+def _interval(time: Array) -> float:
     """Usual time between two rows, s; the mean if rows come in batches that share one stamp."""
     usual = float(np.median(np.diff(time)))
     whole = float(time[-1] - time[0]) / (len(time) - 1)
     if not (math.isfinite(whole) and whole > 0.0 and usual >= 0.0):
-        raise BadInput(f"{where}: found stamps that do not go forward, wanted each later than the one before")
+        raise BadInput("found time stamps that do not go forward, wanted each later than the one before")
     return usual if usual > 0.0 else whole

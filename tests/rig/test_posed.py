@@ -19,7 +19,8 @@ from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term
 from rig.parts.poses import GRAVITY, PoseRecords, Poses
-from rig.parts.reading.poses import noises_at_rest, posed
+from rig.parts.reading.noise_at_rest import noises_at_rest
+from rig.parts.reading.poses import posed
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -111,6 +112,14 @@ def test_squares_of_what_is_left_are_as_many_as_the_poses_less_the_parameters() 
         part = Poses(records(seed))
         left.append(fitted(part, square()).left[: part.width])
     assert np.mean([float(one @ one) for one in left]) == pytest.approx(30 - 9, rel=0.2)
+
+
+def test_few_parts_tell_noise_without_bias() -> None:
+    draw = np.random.default_rng(9)
+    for parts in (1, 2, 3, 6, 7):
+        found = [noises_at_rest([[draw.normal(size=40) for _ in range(parts)]], 10.0)[0].density(0.2)
+                 for _ in range(400)]  # fmt: skip
+        assert np.mean(found) == pytest.approx(0.2, rel=0.3), parts  # some see flicker that is not there
 
 
 def oracle(data: PoseRecords, sigma: Array) -> Array:

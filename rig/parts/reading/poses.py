@@ -21,14 +21,10 @@ from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import Array
 from rig.parts.poses import PARAMETERS, PoseRecords
-from rig.signals.noise import NoiseModel, fit_density
-from rig.signals.spectrum import Density
+from rig.parts.reading.noise_at_rest import noises_at_rest
+from rig.signals.noise import NoiseModel
 from rig.units import STANDARD_GRAVITY
 
-LEAST = 32  # samples of a part at rest that says something about noise
-BINS = 10.0  # per decade of frequency
-EDGE = 0.1  # of a part, left out at either end where its noise is looked at
-EFFICIENCY = 2.0 / math.pi  # of a median beside a mean
 ROOM_FOR_FIT = 4  # poses beside the parameters, so that a fit to the rest means something
 HELD_OUT = 3  # every third pose, where the last ones cannot be spared
 REPEATED = 0.002  # rad: poses closer than this are one pose, taken twice
@@ -242,8 +238,7 @@ class Whole:
         observed = np.array([[_mean(channel[here]) for here in rows] for channel in self.numbers])
         begin = np.array([self.time[one.first] for one in intervals])
         seconds = np.array([(one.last - one.first) / self.rate for one in intervals])
-        variance = self._variance([here for one, here in zip(intervals, rows, strict=True) if not one.turns], begin,
-                                  seconds)  # fmt: skip
+        variance = self._variance(_uncut(intervals), begin, seconds)
         still = np.array([not one.turns and not one.rest for one in intervals])
         floor, said = _floor(
             channels, observed if self.zero is None else observed - self.zero[:, None], variance, still
@@ -284,90 +279,23 @@ def _mean(values: Array) -> float:
     return float(there.mean()) if len(there) else math.nan
 
 
+def _uncut(intervals: Sequence[Interval]) -> list[slice]:
+    """Rows at rest, those of a pose that was cut together: how noise wanders is seen best over all of it."""
+    found: list[slice] = []
+    for one in intervals:
+        if one.rest and found and found[-1].stop == one.first:
+            found[-1] = slice(found[-1].start, one.last)
+        elif not one.turns:
+            found.append(slice(one.first, one.last))
+    return found
+
+
 def _variance(model: NoiseModel, begin: Array, seconds: Array) -> Array:
     """Variance of the mean of every interval about the mean of all, unit² of the values, (n,)."""
     since = begin - float(begin.min())
     covariance = model.covariance(since, since + seconds)
     centred = np.eye(len(begin)) - 1.0 / len(begin)
     return np.asarray(np.diag(centred @ covariance @ centred))
-
-
-def noises_at_rest(channels: Sequence[Sequence[Array]], rate: float) -> list[NoiseModel]:
-    """White noise, and flicker if they need it together, of like channels with their parts at rest, (n,), at `rate` Hz.
-
-    Lines of cosine transforms without the mean (see `spectrum.Lines`). The ends of a part, where a hand may still
-    be on it, are left out, and the parts' median is taken in every band of frequency: one that was pushed counts
-    little. Raises BadInput if all parts are short.
-    """
-    found = [_noise(parts, rate) for parts in channels]
-    coloured = sum(gain for _, _, gain in found) > 0.0
-    return [flicker if coloured else white for white, flicker, _ in found]
-
-
-def _noise(parts: Sequence[Array], rate: float) -> tuple[NoiseModel, NoiseModel, float]:
-    """White noise; white noise and flicker; and how much better the latter is by Schwarz's criterion (1978)."""
-    step = step_of(np.concatenate(parts))
-    rounding = step**2 / 6.0 / rate
-    density = _together([_lines(_middle(part), rate) for part in parts], rounding)
-    level = float(np.average(density.density, weights=density.dof))
-    white = NoiseModel(rate, max(level - rounding, 0.0), quantisation=rounding)
-    coloured = fit_density(density, rate, step=step, pole=None)
-    gain = 2.0 * (_likelihood(density, coloured) - _likelihood(density, white))
-    return white, coloured, gain - math.log(float(density.dof.sum()))
-
-
-def _middle(part: Array) -> Array:
-    """A part without its ends and without gaps."""
-    end = int(EDGE * len(part))
-    values = part[end : len(part) - end]
-    return np.asarray(values[np.isfinite(values)], np.float64)
-
-
-def _lines(values: Array, rate: float) -> tuple[Array, Array]:
-    """Frequencies and squares of the lines of one part, Hz and unit²/Hz; none of a short one."""
-    from scipy.fft import dct
-
-    if len(values) < LEAST:
-        return np.zeros(0), np.zeros(0)
-    lines: Array = dct(values, type=2, norm="ortho")[1:]
-    frequency = np.arange(1, len(values), dtype=np.float64) * rate / (2.0 * len(values))
-    return np.asarray(frequency), np.asarray(lines**2 * 2.0 / rate)
-
-
-def _together(parts: Sequence[tuple[Array, Array]], least: float) -> Density:
-    """Median over the parts of their means in bins of equal width in the logarithm of frequency, at least `least`."""
-    seen: dict[int, list[tuple[float, int, float]]] = {}
-    for frequency, power in parts:
-        place = np.floor(BINS * np.log10(frequency)).astype(np.intp)
-        for one in np.unique(place).tolist():
-            here = place == one
-            count = int(np.count_nonzero(here))
-            middle = (
-                1.0 - 2.0 / (9.0 * count)
-            ) ** 3  # median of χ² ÷ its degrees of freedom (Wilson and Hilferty 1931)
-            mean = float(power[here].mean())
-            seen.setdefault(one, []).append((mean / middle, count, float(np.log(frequency[here]).mean())))
-    if not seen:
-        raise BadInput(f"poses: found no part at rest of {LEAST} samples, wanted longer poses")
-    found = [np.array(seen[one]) for one in sorted(seen)]
-    efficiency = [1.0 if len(one) == 1 else EFFICIENCY for one in found]
-    return Density(
-        np.array([math.exp(float(np.average(one[:, 2], weights=one[:, 1]))) for one in found]),
-        np.array([max(float(np.median(one[:, 0])), least) for one in found]),
-        np.array([share * float(one[:, 1].sum()) for share, one in zip(efficiency, found, strict=True)]),
-    )
-
-
-def _likelihood(seen: Density, model: NoiseModel) -> float:
-    """Logarithm, without constants, of that of bins which are gamma distributed (Whittle 1953)."""
-    level = model.density(seen.frequency)
-    return -0.5 * float(seen.dof @ (np.log(level) + seen.density / level))
-
-
-def step_of(values: Array) -> float:
-    """Smallest difference between the numbers that a record holds: what it is rounded to."""
-    different = np.diff(np.unique(values[np.isfinite(values)]))
-    return float(different.min()) if len(different) else 0.0
 
 
 def _floor(channels: Channels, observed: Array, variance: Array, still: NDArray[np.bool_]) -> tuple[Array, str]:

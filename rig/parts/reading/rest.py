@@ -12,7 +12,7 @@ from rig.errors import BadInput
 from rig.foreign.manifest import SI_OF, Column
 from rig.foreign.tables import Foreign, Table
 from rig.motion import Array
-from rig.parts.reading.poses import step_of
+from rig.parts.reading.noise_at_rest import step_of
 from rig.signals import noise
 from rig.signals.noise import Coefficient
 

@@ -267,16 +267,20 @@ class Part(ABC):
     ) -> Iterator[tuple[str, dict[int, float]]]:
         """Laws in words with the χ² that each would take from a component's rows; one coefficient a name."""
         left, used = (one.reshape(len(self.row_names), -1) for one in (rest.left, rest.used))
-        mask, noise = self.components()[component], self.noise()
+        mask = self.components()[component]
         for words, shape in self.shapes(component).items():
             gains = {}
             for row in rows:
                 here = mask & used[row]
                 own = shape if shape.ndim == 1 else shape[row]
-                column = (own / np.sqrt(noise[row]))[here]
+                column = self.in_deviations(row, own)[here]
                 size = float(column @ column)
                 gains[row] = float(column @ left[row][here]) ** 2 / size if size > 0.0 else 0.0
             yield words, gains
+
+    def in_deviations(self, row: int, shape: Array) -> Array:
+        """A law of one name, SI, in standard deviations, (width,)."""
+        return np.asarray(shape / np.sqrt(self.noise()[row]))
 
     def growth(self, domain: str, row: int, found: Prediction) -> Growth | None:
         """What the rows of a domain may be a power of; None where nothing varies."""

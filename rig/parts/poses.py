@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Channels, Local, Term, volts
+from rig.model import Local, Term, volts
 from rig.motion import Array, Motion, Response
 from rig.parts.conditions import filled, logged
 from rig.parts.part import STEP, Part
+from rig.parts.pose_records import PoseRecords
 from rig.parts.remainder import Cut, Indices, Mask
+from rig.parts.whitening import Whitening
 from rig.shelf import effect_of, nothing_of
 
 GRAVITY = "gravity"
@@ -54,35 +56,6 @@ class Still:
 
     def rise(self, signal: Array) -> Array:
         return np.zeros_like(signal)
-
-
-@dataclass(frozen=True)
-class PoseRecords:
-    """Means of c channels over n poses and turns of one record, in the order of time.
-
-    `observed` (c, n) V, NaN where there is none, with the noise's `variance` (c, n) V². `turn` is the known angle as a
-    vector in the case frame, rad, (3, n), zero in a pose, with standard uncertainty `u_turn` rad, (n,); `seconds` how
-    long each took, `time` its middle, s, (n,). `held` (n,): a model is judged by them. `temperature` °C, `supply` V,
-    both (n,), NaN where not logged. `gravity` and `u_gravity` m/s².
-    """
-
-    name: str
-    run: str
-    channels: Channels
-    observed: Array
-    variance: Array
-    turn: Array
-    u_turn: Array
-    seconds: Array
-    time: Array
-    held: Mask
-    temperature: Array
-    supply: Array
-    gravity: float
-    u_gravity: float
-    notes: tuple[str, ...] = ()
-    zero: Array | None = None  # (c,): zero outputs where a fit begins, V; none where the numbers are about them already
-    up: Array | None = None  # (3, n): what the owner says is up, NaN where nobody does
 
 
 @dataclass(frozen=True)
@@ -171,20 +144,29 @@ class Poses(Part):
     @cached_property
     def _variance(self) -> Array:
         """Noise, and in turns what is not known of angle and axis, V², (c, n)."""
+        return np.asarray(self.data.variance + self._of_turns)
+
+    @cached_property
+    def _of_turns(self) -> Array:
+        """What is not known of angle and axis of a turn, V², (c, n)."""
         data = self.data
         angle = np.linalg.norm(data.turn, axis=0)
         along = np.abs(data.turn) / np.where(angle > 0.0, angle, 1.0)
         own = data.u_turn**2 + (0.5 * TILT**2 * angle) ** 2
         square = np.where(self._turned, along**2 * own + (1.0 - along**2) * (TILT * angle) ** 2, 0.0) / data.seconds**2
         slope = self.channels.sensitivity * self.channels.rates
-        return np.asarray(data.variance + slope[:, None] ** 2 * square[self.channels.axis])
+        return np.asarray(slope[:, None] ** 2 * square[self.channels.axis])
 
     @cached_property
-    def _scale(self) -> Array:
-        """What turns the table of predictions into rows: nought where nothing is observed, (names, n)."""
-        first = [self._of_magnitude[None]] if len(self._triad) else []
-        rows = np.where(self._variance > 0.0, self._variance, 1.0)[self._gyros]
-        return np.asarray(self.counted.reshape(-1, self.width) / np.sqrt(np.concatenate([*first, rows])))
+    def _whitening(self) -> Whitening:
+        """What makes rows of the table of predictions: means of one channel wander together."""
+        one_by_one = np.stack([np.diag(one) for one in self.data.variance])
+        whole = one_by_one if self.data.covariance is None else self.data.covariance
+        covariances = [whole[c] + np.diag(self._of_turns[c]) for c in self._gyros]
+        if len(self._triad):
+            slope = self._start / self.channels.sensitivity[self._triad][:, None]
+            covariances.insert(0, np.einsum("ki,kij,kj->ij", slope, whole[self._triad], slope))
+        return Whitening.of(covariances, self.counted.reshape(-1, self.width), self.data.held)
 
     def _volts(self, force: Array, local: Local, terms: Sequence[Term]) -> Array:
         return np.asarray(volts(self._motion(force), self.channels, local, terms), np.float64)
@@ -216,7 +198,26 @@ class Poses(Part):
         return self._table(g * np.log(g / np.linalg.norm(found.force, axis=0)), found.volts)
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
-        return np.asarray((raw * self._scale).reshape(-1), np.float64)
+        table = np.where(self.counted.reshape(raw.shape), raw, 0.0)
+        return np.asarray(self._whitening.whitened(np.asarray(table, np.float64)).reshape(-1))
+
+    def residual(self, left: Array) -> Array:
+        """What is left over, (rows,), as its table: g's logarithm, m/s², and the gyros' outputs, V, (names, n)."""
+        return self._whitening.coloured(left.reshape(len(self.row_names), -1))
+
+    def errors(self, left: Array) -> Array:
+        table = np.where(self.counted, self.residual(left).reshape(-1), 0.0).reshape(len(self.row_names), -1)
+        return np.asarray(np.sum((table / self._volts_each[:, None]) ** 2, axis=1))
+
+    def in_deviations(self, row: int, shape: Array) -> Array:
+        table = np.zeros((len(self.row_names), self.width))
+        table[row] = shape * self._volts_each[row]
+        return np.asarray(self.whitened(table).reshape(table.shape)[row])
+
+    @cached_property
+    def _volts_each(self) -> Array:
+        """What a row of the table shows of one SI unit, (names,): gravity itself, volts of the gyros."""
+        return np.array([*([1.0] if len(self._triad) else []), *self.channels.sensitivity[self._gyros]])
 
     def apart(self, term: Term) -> Indices | None:
         """None: a magnitude belongs to three channels."""
@@ -301,18 +302,18 @@ class Poses(Part):
 
     def remarks(self, left: Array, local: Local, terms: Sequence[Term]) -> tuple[str, ...]:
         """How far the magnitude is off, and what every known turn integrates to with this model."""
-        table = left.reshape(len(self.row_names), self.width)
+        table = self.residual(left)
         said = [] if not len(self._triad) else [self._said_of_gravity(table[0])]
         for k in np.flatnonzero(self._turned).tolist():
             axis = int(np.abs(self.data.turn[:, k]).argmax())
             for row, c in enumerate(self._gyros, len(self.row_names) - len(self._gyros)):
                 if self.channels.axis[c] == axis and self.counted.reshape(-1, self.width)[row, k]:
-                    said.append(self._said_of_turn(k, axis, table[row, k] / self._scale[row, k], local.sensitivity[c]))
+                    said.append(self._said_of_turn(k, axis, table[row, k], local.sensitivity[c]))
         return tuple(said)
 
     def _said_of_gravity(self, left: Array) -> str:
         used = self.counted[: self.width]
-        above = self.data.gravity * np.expm1(left * np.sqrt(self._of_magnitude) / self.data.gravity)
+        above = self.data.gravity * np.expm1(left / self.data.gravity)
         rms = math.sqrt(float(np.mean(above[used] ** 2)))
         return f"magnitude less g: {rms:.5f} m/s² rms over {np.count_nonzero(used)} poses"
 

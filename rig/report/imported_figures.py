@@ -296,17 +296,18 @@ class Stood:
 
 def stood_of(fit: Fit, number: int, part: Poses) -> Stood:
     """The same rows in units that a person reads."""
-    left = np.where(part.counted, _left(fit, number), np.nan).reshape(len(part.row_names), -1)
+    counted = part.counted.reshape(len(part.row_names), -1)
+    left = np.where(counted, part.residual(_left(fit, number)), np.nan)
     u = np.sqrt(part.noise())
     turned = np.any(part.data.turn != 0.0, axis=0)
     triad = GRAVITY in part.row_names
     g = part.data.gravity
-    above = g * np.expm1(left[0] * u[0] / g) if triad else np.zeros(0)
+    above = g * np.expm1(left[0] / g) if triad else np.zeros(0)
     gyros = tuple(part.channels.of("rate").tolist())
     given = part.channels.sensitivity[list(gyros)]
     used = fit.state.local(part, number).sensitivity[list(gyros)]
     size = u[len(u) - len(gyros) :] * np.abs(given / used)[:, None]
-    rate = left[len(u) - len(gyros) :] * size * np.sign(used)[:, None]
+    rate = left[len(u) - len(gyros) :] / used[:, None]
     return Stood(above, u[0] if triad else np.zeros(0), rate, size, gyros, turned)
 
 

@@ -21,7 +21,8 @@ from rig.foreign.manifest_file import load
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Term
 from rig.parts.part import Part
-from rig.parts.poses import PoseRecords, Poses
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import Poses
 from rig.parts.reading.imported import parts_of
 from rig.parts.response import ResponseTable
 from rig.parts.track import TrackedMotion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from functools import lru_cache
 
 import fast_bench
@@ -11,6 +12,7 @@ from rig.diagnose.diagnose import diagnose
 from rig.diagnose.misfit import compare
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.fit import Fit, begin, fit
 
 
 @lru_cache(maxsize=2)
@@ -29,6 +31,22 @@ def test_every_unit_is_a_part_and_a_clean_world_leaves_nothing_but_noise() -> No
     for group in found.groups:
         assert 0.7 < group.ratio < 1.3
         assert group.heldout_ratio < 2.5
+
+
+@pytest.mark.parametrize(("poses", "record"), [(24, "2 s"), (24, "5 s"), (6, "5 s")])
+def test_squares_of_what_a_clean_tumble_leaves_are_as_many_as_its_degrees_of_freedom(poses: int, record: str) -> None:
+    found = []
+    for seed in range(1, 11):
+        run = fast_bench.measure({"procedure": "tumble", "poses": poses, "record": record}, fast_bench.world(seed))
+        fit = free_fit(evidence_of([run]))
+        told = 12 + 9  # zeros, and sensitivities of the triads: gravity tells none of the gyros
+        found.append(fit.chi2 / (fit.count - told))
+    assert statistics.median(found) == pytest.approx(1.0, abs=0.1)
+
+
+def free_fit(evidence: Evidence) -> Fit:
+    """Nothing is believed of sensitivities."""
+    return fit(evidence.parts, begin(evidence.parts, evidence.nuisances, free=True))
 
 
 def test_sensitivities_by_gravity_are_those_of_a_sweep_within_their_uncertainty() -> None:

@@ -18,7 +18,8 @@ from rig.fit.fit import Fit, begin, fit, linearised, residual, stepped
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term
-from rig.parts.poses import GRAVITY, PoseRecords, Poses
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import GRAVITY, Poses
 from rig.parts.reading.noise_at_rest import noises_at_rest
 from rig.parts.reading.poses import posed
 
@@ -120,6 +121,47 @@ def test_few_parts_tell_noise_without_bias() -> None:
         found = [noises_at_rest([[draw.normal(size=40) for _ in range(parts)]], 10.0)[0].density(0.2)
                  for _ in range(400)]  # fmt: skip
         assert np.mean(found) == pytest.approx(0.2, rel=0.3), parts  # some see flicker that is not there
+
+
+def wandering(seed: int) -> PoseRecords:
+    """The same poses with noise that is mostly one slow wander."""
+    data, draw = records(seed), np.random.default_rng(1000 + seed)
+    seconds = data.time - data.time[0]
+    one = 0.5 * np.exp(-np.abs(seconds[:, None] - seconds) / 100.0) + 0.01 * np.eye(data.observed.shape[1])
+    slow = np.linalg.cholesky(one) @ draw.normal(size=(len(one), len(data.observed)))
+    covariance = np.repeat(one[None], len(data.observed), axis=0)
+    noise = draw.normal(size=data.observed.shape)
+    return replace(data, observed=data.observed + slow.T, covariance=covariance + 0.01 * np.eye(len(one)),
+                   variance=np.full(noise.shape, 0.52))  # fmt: skip
+
+
+def test_means_that_wander_together_are_not_taken_for_independent_ones() -> None:
+    found = [fitted(Poses(wandering(seed)), square()) for seed in range(30)]
+    whole = [errors(one) for one in found]
+    for name in (one for one in whole[0] if "gyro" not in one):
+        assert 0.65 < math.sqrt(float(np.mean([one[name] ** 2 for one in whole]))) < 1.4, name
+    left = np.array([one.left[:33] for one in found])
+    assert np.mean(np.sum(left**2, axis=1)) == pytest.approx(30 - 9, rel=0.15)
+    apart = fitted(Poses(replace(wandering(0), covariance=None)), square())
+    row = found[0].layout.gains["acc_x"]
+    assert found[0].covariance[row, row] < 0.5 * apart.covariance[row, row]
+
+
+def test_what_is_fitted_is_not_told_by_what_is_held_out() -> None:
+    data = wandering(0)
+    part, changed = Poses(data), Poses(replace(data, observed=data.observed + np.where(data.held, 7.0, 0.0)))
+    fitted_rows = ~part.held_out
+    np.testing.assert_array_equal(part.target[fitted_rows], changed.target[fitted_rows])
+    assert np.abs((part.target - changed.target)[part.held_out & part.counted]).max() > 1.0
+
+
+def test_rows_and_the_residual_that_they_stand_for_are_told_from_each_other() -> None:
+    part = Poses(wandering(0))
+    table = np.where(part.counted, np.random.default_rng(3).normal(size=part.rows), 0.0).reshape(4, -1)
+    np.testing.assert_allclose(part.residual(part.whitened(table)), table, atol=1e-9)
+    apart = float(part.data.time[7] - part.data.time[0])
+    both = np.array([part.residual(np.eye(part.rows)[k]).reshape(-1) for k in range(part.rows)])
+    assert (both.T @ both)[33, 40] == pytest.approx(0.5 * math.exp(-apart / 100.0), rel=1e-6)  # gyro_x, in units²
 
 
 def oracle(data: PoseRecords, sigma: Array) -> Array:

@@ -14,7 +14,8 @@ from rig.diagnose.conclusion import OWN_SENSITIVITY, conclude
 from rig.fit.evidence import Evidence
 from rig.fit.fit import begin, fit, linearised, residual, stepped
 from rig.model import Channels
-from rig.parts.poses import PoseRecords, Poses
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import Poses
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.sweep import Sweep
 from rig.shelf import shelf

@@ -2,8 +2,8 @@
 
 Poses and turns are those that the manifest names as segments; where it names none, the intervals at rest are found in
 the record itself. How noisy a mean is comes from the record's own parts at rest: their spectrum, white noise and
-flicker fitted to it, and the covariance that gives means of such length at such times, about the mean of all of them
-(the zero output takes that up). Nothing is taken to be white.
+flicker fitted to it, and the covariance that this gives means of such length at such times, about the mean of all of
+them (the zero output takes that up). Nothing is taken to be white.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import Array
-from rig.parts.poses import PARAMETERS, PoseRecords
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import PARAMETERS
 from rig.parts.reading.noise_at_rest import noises_at_rest
-from rig.signals.noise import NoiseModel
 from rig.units import STANDARD_GRAVITY
 
 ROOM_FOR_FIT = 4  # poses beside the parameters, so that a fit to the rest means something
@@ -215,6 +215,9 @@ def _means(
 class Whole:
     """A record with parts at rest: `numbers` of the channels (c, n) V at `time` (n,) s, `rate` of them in a part, Hz,
     and `conditions` by name (n,). `where` it is, for who reads what is wrong with it.
+
+    `together`: between two poses nothing happened but what its noise does. Nobody knows that of data from elsewhere,
+    with hands and pauses in between; there every mean has the whole wander by itself.
     """
 
     where: str
@@ -225,6 +228,7 @@ class Whole:
     rate: float
     conditions: Mapping[str, Array]
     zero: Array | None = None  # (c,): zero outputs where a fit begins, V
+    together: bool = False
 
     def posed(
         self, name: str, intervals: Sequence[Interval], gravity: tuple[float, float], notes: Sequence[str]
@@ -238,7 +242,8 @@ class Whole:
         observed = np.array([[_mean(channel[here]) for here in rows] for channel in self.numbers])
         begin = np.array([self.time[one.first] for one in intervals])
         seconds = np.array([(one.last - one.first) / self.rate for one in intervals])
-        variance = self._variance(_uncut(intervals), begin, seconds)
+        covariance = self._covariance(_uncut(intervals), begin, seconds)
+        variance = _about_the_mean(covariance)
         still = np.array([not one.turns and not one.rest for one in intervals])
         floor, said = _floor(
             channels, observed if self.zero is None else observed - self.zero[:, None], variance, still
@@ -247,22 +252,25 @@ class Whole:
         gyros = ["Earth's rate is left in the zeros of the gyros"] if len(channels.of("rate")) else []
         return PoseRecords(
             name=name, run=self.run, channels=channels, observed=observed,
-            variance=variance + floor, turn=np.array([one.angle for one in intervals]).T,
+            variance=variance + floor,
+            covariance=covariance + floor[:, :, None] * np.eye(len(begin)) if self.together else None,
+            turn=np.array([one.angle for one in intervals]).T,
             u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
             held=np.array([one.held for one in intervals]), gravity=gravity[0], u_gravity=gravity[1],
             zero=self.zero, up=np.stack([signed(one.up) for one in intervals], axis=1),
             notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
         )  # fmt: skip
 
-    def _variance(self, rest: Sequence[slice], begin: Array, seconds: Array) -> Array:
-        """Of the mean of every interval, from the parts at rest, (c, intervals)."""
+    def _covariance(self, rest: Sequence[slice], begin: Array, seconds: Array) -> Array:
+        """Of the means of all intervals, from the parts at rest, (c, intervals, intervals)."""
         _refuse_dead(self.where, self.channels, [self.numbers[:, part] for part in rest])
-        variance = np.zeros((len(self.numbers), len(begin)))
+        covariance = np.zeros((len(self.numbers), len(begin), len(begin)))
+        since = begin - float(begin.min())
         for here in (one for one in (self.channels.of("acceleration"), self.channels.of("rate")) if len(one)):
             models = noises_at_rest([[self.numbers[c][part] for part in rest] for c in here], self.rate)
             for c, model in zip(here, models, strict=True):
-                variance[c] = _variance(model, begin, seconds)
-        return variance
+                covariance[c] = model.covariance(since, since + seconds)
+        return covariance
 
 
 def _refuse_dead(where: str, channels: Channels, parts: Sequence[Array]) -> None:
@@ -290,12 +298,11 @@ def _uncut(intervals: Sequence[Interval]) -> list[slice]:
     return found
 
 
-def _variance(model: NoiseModel, begin: Array, seconds: Array) -> Array:
-    """Variance of the mean of every interval about the mean of all, unit² of the values, (n,)."""
-    since = begin - float(begin.min())
-    covariance = model.covariance(since, since + seconds)
-    centred = np.eye(len(begin)) - 1.0 / len(begin)
-    return np.asarray(np.diag(centred @ covariance @ centred))
+def _about_the_mean(covariance: Array) -> Array:
+    """Variance of the mean of every interval about the mean of all, unit² of the values, (c, n)."""
+    count = covariance.shape[-1]
+    centred = np.eye(count) - 1.0 / count
+    return np.asarray(np.einsum("ij,cjk,ik->ci", centred, covariance, centred))
 
 
 def _floor(channels: Channels, observed: Array, variance: Array, still: NDArray[np.bool_]) -> tuple[Array, str]:

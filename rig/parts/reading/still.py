@@ -13,7 +13,8 @@ import numpy as np
 from rig.archive.records import Recorded, experiments, reference, signals
 from rig.foreign.tables import is_foreign
 from rig.parts.channels import channels_of
-from rig.parts.poses import PoseRecords, Poses
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import Poses
 from rig.parts.reading.poses import Interval, held_out
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.tumble import HELD, whole_of, windows

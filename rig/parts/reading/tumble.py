@@ -17,7 +17,8 @@ from rig.model import Channels
 from rig.motion import Array
 from rig.parts.channels import channels_of
 from rig.parts.part import Part
-from rig.parts.poses import PoseRecords, Poses
+from rig.parts.pose_records import PoseRecords
+from rig.parts.poses import Poses
 from rig.parts.reading.poses import Interval, Whole, held_out
 from rig.parts.reading.reading import Reading
 from rig.parts.remainder import Indices
@@ -87,7 +88,8 @@ def whole_of(records: Recorded, found: Sequence[Signals], channels: Channels) ->
     conditions = {name: _condition(found, name, scale) for name, scale in LOGGED.items()}
     ends = np.cumsum([len(one.instants) for one in found])
     means = np.array([part.mean(axis=1) for part in np.split(numbers, ends[:-1], axis=1)]).T
-    return Whole(records.name, records.name, channels, numbers, time, found[0].rate, conditions, _zero(channels, means))
+    zero = _zero(channels, means)
+    return Whole(records.name, records.name, channels, numbers, time, found[0].rate, conditions, zero, together=True)
 
 
 def _zero(channels: Channels, means: Array) -> Array:

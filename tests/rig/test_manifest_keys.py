@@ -217,6 +217,8 @@ CHANGES: dict[tuple[str, str], Change] = {
     ("Reading", "delimiter"): ("rotation", nothing, put("reading", "delimiter", to=";")),
     ("Reading", "comment"): ("rotation", nothing, put("reading", "comment", to="0")),
     ("Reading", "header"): ("rotation", nothing, put("reading", "header", to=False)),
+    ("Reading", "skip"): ("rotation", nothing, put("reading", "skip", to=1)),
+    ("Reading", "units"): ("rotation", nothing, put("reading", "units", to=True)),
     ("Reading", "decimal"): (
         "rotation", both(put("files", 0, "path", to="semi.csv"), put("reading", to={"delimiter": ";"})),
         both(put("files", 0, "path", to="semi.csv"), put("reading", to={"delimiter": ";", "decimal": ","}))),

@@ -154,6 +154,25 @@ class Wave:
         return np.asarray(found + slope)
 
 
+@dataclass(frozen=True)
+class Begun:
+    """Motion that begins after a rest of some seconds, within a second and without a jerk: value and first derivative.
+
+    The motion goes through its course at the pace p(t), 0 at rest and 1 later: x(∫p dt).
+    """
+
+    whole: Wave
+    rest: float
+
+    def at(self, t: Array, order: int = 0) -> Array:
+        """Value (order 0) or rate (order 1) at times (n,), (k, n)."""
+        if not self.rest:
+            return self.whole.at(t, order)
+        u = np.clip(t - self.rest, 0.0, 1.0)
+        course = u**3 - 0.5 * u**4 + np.maximum(t - self.rest - 1.0, 0.0)  # ∫ of 3u² − 2u³
+        return self.whole.at(course, order) * ((3.0 * u**2 - 2.0 * u**3) if order else 1.0)
+
+
 def wave(
     random: np.random.Generator, speeds: Sequence[float], band: tuple[float, float], drift: Sequence[float]
 ) -> Wave:
@@ -190,6 +209,14 @@ class Unit:
         felt = felt + np.asarray(self.force_zero)[:, None]
         noise = random.normal(size=(6, len(t)))
         return np.concatenate([gyros + self.rate_noise * noise[:3], felt + self.force_noise * noise[3:]])
+
+
+def clean(seed: int) -> Unit:
+    """Gains and zeros within what is usual."""
+    random = np.random.default_rng(seed + 77)
+    gains, zeros = 1.0 + 0.01 * random.normal(size=(2, 3)), random.normal(size=(2, 3))
+    return Unit(rate_gain=gains[0].tolist(), force_gain=gains[1].tolist(),
+                rate_zero=(0.02 * zeros[0]).tolist(), force_zero=(0.1 * zeros[1]).tolist())  # fmt: skip
 
 
 def device_columns(channels: str = "rf", **more: Any) -> list[dict[str, Any]]:
@@ -233,13 +260,16 @@ def rotation(
     band: float = 5.0,
     channels: str = "rf",
     doubled: float = 0.003,
+    rest: float = 0.0,
+    sheet: Mapping[str, Any] | None = None,
 ) -> Foreign:
     """A log of an encoder with a device that turns: rows at uneven instants, stamps that are off by `jitter`, an angle
     in `steps` that wraps, and now and then a row twice. `lies` rad: how gravity lies at angle zero of a level axis.
-    `sense` −1: the encoder counts against the right-hand turn.
+    `sense` −1: the encoder counts against the right-hand turn. `rest` s stands still before; `sheet` is the noise of
+    every channel of the device as its manifest states it.
     """  # fmt: skip
     random = np.random.default_rng(seed)
-    swung = wave(random, [1.6], (0.05, 2.5), [0.4])
+    swung = Begun(wave(random, [1.6], (0.05, 2.5), [0.4]), rest)
     interval = 1.0 / rows
     t = np.cumsum(interval * (1.0 + 0.1 * random.uniform(-1.0, 1.0, size=round(seconds * rows))))
     k = AXES.index(axis)
@@ -265,7 +295,9 @@ def rotation(
     stamps = t + jitter * random.normal(size=len(t))
     table = np.column_stack([stamps, read, *values])
     twice = np.sort(np.concatenate([np.arange(len(t)), random.choice(len(t), round(doubled * len(t)))]))
-    columns = [{"column": "angle", "quantity": "angle", "unit": "rad", "role": "reference"}, *device_columns(channels)]
+    more = {} if sheet is None else {"noise": dict(sheet)}
+    columns = [{"column": "angle", "quantity": "angle", "unit": "rad", "role": "reference"},
+               *device_columns(channels, **more)]  # fmt: skip
     turned: dict[str, Any] = {"axis": axis, "upright": upright}
     if stated is not None:
         turned["sense"] = stated

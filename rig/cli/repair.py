@@ -107,7 +107,8 @@ def compare(
     said besides what one level of its own for every channel would explain.
 
     \f
-    `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `ratio`, `heldout_ratio`),
+    `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `ratio`, `heldout_ratio`,
+    `noise_from`),
     `worst` (a list of `where`, `ratio`, `in_words`) and `figures`; with `--as-is` `groups`, `with_levels`
     (groups again), `levels` (a list of `channel`, `relative`, `u`) and `shape_holds`.
     """
@@ -121,7 +122,7 @@ def compare(
         print_json(found.as_json(drawn))
         return
     notes = _notes_text(work)
-    said = [*groups_text(found.groups), *worst_text(found.worst), *notes]
+    said = [*groups_text(found.groups), *worst_text(found.worst), *untold_text(found.groups), *notes]
     click.echo("\n".join([_title("compare", work), *said]))
     for path in drawn:
         click.echo(f"figure: {path}")
@@ -223,6 +224,22 @@ def worst_text(worst: Iterable[Condition]) -> list[str]:
     return ["worst:", *rows] if rows else ["nothing stands out of the noise"]
 
 
+def untold_text(groups: Iterable[Group]) -> list[str]:
+    """Which ratios say nothing, and what would make them."""
+    blind = [one for one in groups if not one.told]
+    if not blind:
+        return []
+    names = ", ".join(one.name for one in blind)
+    return [
+        f"noise known only from what a model leaves over, so that its ratio judges nothing: {names}; {_to_know(blind)}"
+    ]
+
+
+def _to_know(blind: Iterable[Group]) -> str:
+    """What would make the noise of these groups known."""
+    return "; ".join(dict.fromkeys(one.to_know for one in blind))
+
+
 @click.command()
 @RUN_NAMES
 @model_options()
@@ -253,7 +270,9 @@ def diagnose(
     the answer is `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
 
     \f
-    `--json` gives `verdict` (`adequate`, `missing`, `unlisted`), `groups` as `rig compare` does, `candidates` best
+    `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`), `groups` as `rig compare` does, `untold`
+    (those of them whose noise is known only from what the model leaves over: on these no `adequate` stands),
+    `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
     `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
     was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, `why`), `description` and `cannot_see`.
@@ -280,6 +299,7 @@ def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]
         "groups": list(groups),
         "candidates": [one.as_json() for one in said.candidates],
         "excluded": [one.as_json() for one in said.excluded],
+        "untold": [one.as_json() for one in said.untold],
         "description": completed(said.description),
         "cannot_see": [completed(one) for one in said.cannot_see],
     }
@@ -316,7 +336,10 @@ def verdict_text(said: Conclusion) -> str:
         case "unlisted":
             return f"verdict: unlisted effect - {errors}, {there}; with the best of the shelf {said.after:.4g}"
         case _:
-            return f"verdict: {said.verdict} - {errors}, {there}"
+            sizes = ", ".join(f"{one.error:.3g} {one.unit} ({one.name})" for one in said.untold)
+            return (
+                f"verdict: undecided - error is {sizes}; whether that is noise cannot be told: {_to_know(said.untold)}"
+            )
 
 
 def candidate_text(one: Candidate, nearest: bool) -> list[str]:
@@ -357,7 +380,7 @@ def adding(effect: str, names: Sequence[str], on: str | None) -> str:
 def _next_after(said: Conclusion, work: Opened) -> list[str]:
     if said.verdict == "missing":
         return [_first(said, work)]
-    if said.verdict == "adequate":
+    if said.verdict in ("adequate", "undecided"):
         return [f"{command('fit', *work.names)} && {command('history', *work.names)}"]
     if said.taken and said.diagnosis.explained > NEAR:
         return [_first(said, work), command("compare", *work.names)]

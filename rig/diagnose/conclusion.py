@@ -18,6 +18,7 @@ import numpy as np
 
 from rig.diagnose.describe import Description, describe
 from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, diagnose
+from rig.diagnose.misfit import Group, untold
 from rig.diagnose.unseen import cannot_see
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
@@ -94,7 +95,8 @@ class Conclusion:
     """The verdict, the candidates best first, what an unlisted effect looks like, and what cannot be seen.
 
     `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
-    `worst_at` says where the model as given fails most: its error there, and what is left of that.
+    `worst_at` says where the model as given fails most: its error there, and what is left of that. `untold` are groups
+    of rows, with all steps taken, whose noise is known only from what the model leaves over.
     """
 
     verdict: str
@@ -110,6 +112,7 @@ class Conclusion:
     worst_after: float
     diagnosis: Diagnosis = field(repr=False)
     excluded: tuple[Excluded, ...] = ()
+    untold: tuple[Group, ...] = ()
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -137,7 +140,7 @@ def conclude(
     candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
     at, worst = worst_of(base)
     return replace(
-        found, verdict="missing" if found.verdict == "adequate" else found.verdict, candidates=tuple(candidates),
+        found, verdict="unlisted" if found.verdict == "unlisted" else "missing", candidates=tuple(candidates),
         error=error_of(base), heldout_error=heldout_error(evidence, base), worst_at=at, worst=worst,
         worst_after=error_at(found.diagnosis.final, at),
     )  # fmt: skip
@@ -198,6 +201,7 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         heldout_after=heldout_error(evidence, diagnosis.final),
         diagnosis=diagnosis,
         excluded=tuple(_excluded(diagnosis)),
+        untold=tuple(untold(diagnosis.final)),
     )
 
 

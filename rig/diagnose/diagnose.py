@@ -3,7 +3,8 @@
 Every step takes the effect with the largest merit: the χ² that it removes after a full refit, less what chance gives to
 the best of so many candidates, less how unusual it is. A step is taken only if chance would hardly do as well. Effects
 that the data cannot tell from the one taken form its class. When no effect brings the rows to their noise, the verdict
-is *unlisted*, and the best candidate is only the nearest.
+is *unlisted*, and the best candidate is only the nearest. Where nothing is found missing but noise is known only from
+what the model leaves over, the verdict is *undecided*: that nothing stands out of such noise means nothing.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from rig.fit.fit import Fit
 from rig.model import Effect, Term
 from rig.shelf import shelf as shelf_of
 
-Verdict = Literal["adequate", "missing", "unlisted"]
+Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
 CHANCE = 16.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
 PER_COORDINATE = 5.0  # more of it for each further coordinate
 PER_START = 1.5  # and for every factor e of starts tried
@@ -344,7 +345,7 @@ def _concluded(
     if not fine:
         verdict = "unlisted"
     elif not steps:
-        verdict = "adequate"
+        verdict = "undecided" if adequacy.untold(final) else "adequate"
     else:
         verdict = "missing"
     return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced)

@@ -1,7 +1,8 @@
 """Where a model fails: error against independent noise of every kind of channel, and the worst conditions in words.
 
-The noise of a group is the rms of what its independent noise makes of the numbers compared, referred to the input; it
-is known from records at rest and from what lies between the lines, whatever the model. The ratio is √(χ²/n), every row
+The noise of a group is the rms of what its noise makes of the numbers compared, referred to the input; it is known from
+records at rest and from what lies between the lines, whatever the model, or it is said to be no more than what a model
+leaves over. The ratio is √(χ²/n), every row
 weighed by its own noise, and the error is the noise times that: the rms of what the model leaves over, on that scale.
 Held-out rows are judged by a model that was fitted without them.
 """
@@ -19,12 +20,14 @@ import numpy as np
 from rig.diagnose.misfit_cells import Cell, Table, cell, cells, tables
 from rig.diagnose.misfit_laws import Law, in_words, laws, strongest
 from rig.diagnose.whiteness import FEWEST, Whiteness, fisher_g, ljung_box, runs
+from rig.fit import adequacy
 from rig.fit import fit as fitting
 from rig.fit.adequacy import LIMIT
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
 from rig.model import Term
 from rig.motion import Array
+from rig.parts.part import Origin
 from rig.parts.remainder import Mask
 
 CONDITIONS = 3
@@ -34,7 +37,7 @@ OWN = 0.5  # of a condition's excess must lie in rows that no worse condition ex
 
 @dataclass(frozen=True)
 class Group:
-    """Channels of one kind in one experiment; error and noise in m/s² or rad/s."""
+    """Channels of one kind in one experiment; error and noise in `unit`, SI, the noise known from `noise_from`."""
 
     name: str
     channels: tuple[str, ...]
@@ -43,13 +46,21 @@ class Group:
     noise: float
     ratio: float
     heldout_ratio: float
+    unit: str = ""
+    noise_from: tuple[Origin, ...] = ()
+    to_know: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether its noise is known independently of what a model leaves over."""
+        return "misfit" not in self.noise_from
 
     def as_json(self) -> dict[str, Any]:
         """SI; a ratio that no row determines is null."""
         return {
             "name": self.name, "channels": list(self.channels), "experiment": self.experiment,
-            "error": _number(self.error), "noise": _number(self.noise), "ratio": _number(self.ratio),
-            "heldout_ratio": _number(self.heldout_ratio),
+            "error": _number(self.error), "noise": _number(self.noise), "unit": self.unit, "ratio": _number(self.ratio),
+            "heldout_ratio": _number(self.heldout_ratio), "noise_from": list(self.noise_from),
         }  # fmt: skip
 
 
@@ -101,7 +112,7 @@ def comparison(found: Fit, trained: State, training: Mask) -> Comparison:
     made = tables(found)
     unseen = fitting.residual(found.parts, trained)
     return Comparison(
-        tuple(_groups(found, made, np.where(training, np.nan, unseen))),
+        tuple(groups(found, made, np.where(training, np.nan, unseen))),
         tuple(conditions(found, made)),
         tuple(_whiteness(made)),
         found,
@@ -111,9 +122,20 @@ def comparison(found: Fit, trained: State, training: Mask) -> Comparison:
 # groups
 
 
-def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]:
+def untold(found: Fit) -> list[Group]:
+    """Groups whose noise is not known independently."""
+    if not adequacy.untold(found):
+        return []
+    return [one for one in groups(found, tables(found), np.full(len(found.left), np.nan)) if not one.told]
+
+
+def groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]:
+    """Error and noise of every kind of channel; `unseen` (rows,) what is held out, NaN elsewhere."""
     sums: dict[tuple[str, str], list[Array]] = {}
     names: dict[tuple[str, str], dict[str, None]] = {}
+    origins: dict[tuple[str, str], dict[Origin, None]] = {}
+    units: dict[tuple[str, str], str] = {}
+    advice: dict[tuple[str, str], str] = {}
     offsets = found.offsets()
     for table in made:
         held = unseen[offsets[table.number] : offsets[table.number + 1]]
@@ -121,12 +143,15 @@ def _groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]
             key = (table.part.experiment, table.part.title(name))
             sums.setdefault(key, []).append(row)
             names.setdefault(key, {})[name] = None
+            origins.setdefault(key, {})[table.part.origin(name)] = None
+            units[key], advice[key] = table.part.unit(name), table.part.to_know
     for (experiment, title), rows in sums.items():
         square, number, chi2, count, held_chi2, held_count, error = np.sum(rows, axis=0).tolist()
         noise, ratio = _root(square, number), _root(chi2, count)
         yield Group(
             f"{experiment}, {title}", tuple(names[experiment, title]), experiment,
             noise * ratio if math.isnan(error) else _root(error, number), noise, ratio, _root(held_chi2, held_count),
+            units[experiment, title], tuple(origins[experiment, title]), advice[experiment, title],
         )  # fmt: skip
 
 

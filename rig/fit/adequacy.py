@@ -82,6 +82,16 @@ def adequate(found: Fit) -> bool:
     return one is None or one.z < LIMIT
 
 
+def untold(found: Fit) -> list[tuple[int, str]]:
+    """Number of the part and name of all rows whose noise is only what a model leaves over: no verdict stands on it."""
+    return [
+        (number, name)
+        for number, part in enumerate(found.parts)
+        for name, used in zip(part.row_names, part.counted.reshape(len(part.row_names), -1), strict=True)
+        if used.any() and part.origin(name) == "misfit"
+    ]
+
+
 def excess(found: Fit) -> float:
     """χ² in excess of the number of rows, in groups that stand out."""
     return sum(max(one.chi2 - one.count, 0.0) for one in groups(found) if one.z > 3.0)

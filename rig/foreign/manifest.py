@@ -123,7 +123,7 @@ KINDS: Mapping[str, DataKind] = {
         columns={
             **SAMPLED, **dict.fromkeys(UNCERTAIN, (_at("reference", "angle"),)),
             "delay": (_at("device"), _at("reference", "angle", *LINES)),
-            "gain_uncertainty": (_at("reference", "angle"),),
+            "gain_uncertainty": (_at("reference", "angle"),), "noise": (_at("device", "acceleration", "rate"),),
         },
         instead={"gain_uncertainty": ": it belongs to the reference's angle; an encoder's lines close in a turn"},
     ),
@@ -196,8 +196,6 @@ class Reading(Strict):
 
     CSV: `delimiter`, lines beginning with `comment` are skipped, `header` false if no line names the columns (they are
     then "1", "2", …); a `delimiter` of one blank means any run of blanks. `decimal` is the sign before the decimals.
-    `skip` lines stand before the one that names the columns; an LVM file's own header needs no number. `units`: a line
-    of units follows the names; what they are is said in `columns`.
     NPY, NPZ, MAT and HDF5: columns are named `variable` or `variable[3]` (from 0).
     """
 
@@ -206,8 +204,6 @@ class Reading(Strict):
     comment: str = "#"
     header: bool = True
     decimal: Literal[".", ","] = "."
-    skip: int = Field(default=0, ge=0)
-    units: bool = False
 
 
 class TimeBase(Strict):
@@ -223,6 +219,21 @@ class TimeBase(Strict):
     jitter: Time = Field(default=0.0, ge=0)
 
 
+class SheetNoise(Strict):
+    """Noise by a data sheet: one-sided `density` of its white part, with unit, right to a relative `tolerance`.
+
+    Flicker is as strong as the white part at a corner somewhere between the two of `corner`; none without.
+    """
+
+    density: str
+    tolerance: Ratio = Field(default=0.2, gt=0)
+    corner: tuple[Frequency, Frequency] | None = None
+
+    def density_si(self, of_rate: bool) -> float:
+        """(rad/s)/√Hz or (m/s²)/√Hz. Raises ValueError for no such quantity."""
+        return units.parse(self.density, "rate_density" if of_rate else "acceleration_density")
+
+
 class Column(Strict):
     """One column: what it is. `name` is the channel's name (default: the column's own).
 
@@ -231,6 +242,7 @@ class Column(Strict):
     its output filter, if it has one. `delay` is how much later than the row's time stamp it was sampled.
     `uncertainty` (with unit) is a standard one of each number; `gain_uncertainty` a relative standard one of a
     reference's sensitivity. `uncertainty_column` names the column with an uncertainty of each row, `coverage` its k.
+    `noise` is the device's by its data sheet.
     """
 
     column: str = Field(min_length=1)
@@ -249,6 +261,7 @@ class Column(Strict):
     gain_uncertainty: Ratio | None = Field(default=None, ge=0)
     uncertainty_column: str | None = None
     coverage: float = Field(default=1.0, gt=0)
+    noise: SheetNoise | None = None
 
     @property
     def channel(self) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rig import units
 from rig.errors import ConfigError, Problem
-from rig.foreign.manifest import KINDS, SI_OF, UNIT_KINDS, Manifest, per
+from rig.foreign.manifest import KINDS, SI_OF, UNIT_KINDS, Manifest, SheetNoise, per
 from rig.yaml import config
 from rig.yaml.document import Document
 
@@ -62,11 +62,21 @@ def _of_columns(document: Document, made: Manifest) -> Iterator[Problem]:
             yield document.problem((*at, "unit"), f"found '{one.unit}', wanted the unit of {wanted.wanted}")
         if one.uncertainty is not None and (said := _wrong(one.uncertainty, kind)):
             yield document.problem((*at, "uncertainty"), said)
+        if one.noise is not None and (said := _wrong_noise(one.noise, one.quantity)):
+            yield document.problem((*at, "noise"), said)
         needs_axis = (one.role == "device" and one.quantity in SI_OF) or one.quantity == "position"
         if needs_axis and one.axis is None and KINDS[made.kind].axes:
             yield document.problem((*at, "axis"), "found nothing, wanted x, y or z")
         if one.quantity == "quaternion" and one.component is None:
             yield document.problem((*at, "component"), "found nothing, wanted w, x, y or z")
+
+
+def _wrong_noise(noise: SheetNoise, quantity: str) -> str:
+    """What is wrong with a data sheet's noise, "" if nothing."""
+    if noise.corner is not None and not 0.0 < noise.corner[0] <= noise.corner[1]:
+        low, high = noise.corner
+        return f"found a corner from {low:g} to {high:g} Hz, wanted one that rises from above zero"
+    return "" if quantity not in SI_OF else _wrong(noise.density, f"{quantity}_density")
 
 
 def _wrong(text: str, kind: str) -> str:

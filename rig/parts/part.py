@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from rig.parts.ripple import Floor
 
 STEP = 1e-4  # relative, of sensitivities and poles; V, of zeros
 ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
+Origin = Literal["at rest", "beside the lines", "repeats", "stated", "data sheet", "misfit"]
+"""Where the noise of some rows is known from. What a model leaves over is no independent source: "misfit"."""
 
 
 class Part(ABC):
@@ -190,6 +192,15 @@ class Part(ABC):
     # how noisy the rows are
 
     @abstractmethod
+    def origin(self, name: str) -> Origin:
+        """Where the noise of a name's rows is known from."""
+
+    @property
+    def to_know(self) -> str:
+        """What would make their noise known independently of a misfit."""
+        return "record 30 s at rest"
+
+    @abstractmethod
     def noise(self) -> Array:
         """Variance of the noise of every number compared, referred to the input, SI², (names, width)."""
 
@@ -301,6 +312,10 @@ class Part(ABC):
     def title(self, name: str) -> str:
         """What a row is called in a comparison; rows of equal titles make one group."""
         return "gyros" if self.row_rates[self.row_names.index(name)] else "accelerometers"
+
+    def unit(self, name: str) -> str:
+        """SI unit of a row's error, referred to the input."""
+        return "rad/s" if self.row_rates[self.row_names.index(name)] else "m/s²"
 
     def remarks(self, left: Array, local: Local, terms: Sequence[Term]) -> tuple[str, ...]:
         """What only this kind of record can tell of a fitted model, a sentence each; `left` its rows (rows,)."""

@@ -22,7 +22,7 @@ from rig.parts import platter_laws, platter_options, platter_signs
 from rig.parts.conditions import filled, logged
 from rig.parts.formulas import OF_PLATTER
 from rig.parts.laws import scored
-from rig.parts.part import ALLOWANCE, Option, Part
+from rig.parts.part import ALLOWANCE, Option, Origin, Part
 from rig.parts.platter_cuts import Rows
 from rig.parts.platter_records import PlatterRecords
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
@@ -209,6 +209,9 @@ class Platter(Part):
         return np.concatenate([means, *(scale > 0.0 for scale in self._scales)], axis=1).reshape(-1)
 
     # noise, and what the rows stand for
+
+    def origin(self, name: str) -> Origin:
+        return "at rest" if self.data.resting > 0.0 else "misfit"
 
     def noise(self) -> Array:
         return self.of.noise()

@@ -23,7 +23,7 @@ from rig.errors import BadInput
 from rig.model import Local, Term, volts
 from rig.motion import Array, Motion, Response
 from rig.parts.conditions import filled, logged
-from rig.parts.part import STEP, Part
+from rig.parts.part import STEP, Origin, Part
 from rig.parts.pose_records import PoseRecords
 from rig.parts.remainder import Cut, Indices, Mask
 from rig.parts.whitening import Whitening
@@ -273,6 +273,9 @@ class Poses(Part):
         slope = self._start / self.channels.sensitivity[self._triad][:, None]
         found = np.sum(slope**2 * self._variance[self._triad], axis=0)
         return np.asarray(np.where(found > 0.0, found, 1.0))
+
+    def origin(self, name: str) -> Origin:
+        return "at rest"
 
     def noise(self) -> Array:
         """Of a magnitude, (m/s²)², and of the means of the gyros, (rad/s)², (names, n)."""

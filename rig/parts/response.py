@@ -23,7 +23,7 @@ from rig.model import Channels, Local, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts.conditions import NOMINAL
 from rig.parts.formulas import OF_SHAKER
-from rig.parts.part import Part
+from rig.parts.part import Origin, Part
 from rig.parts.remainder import Cut, Mask
 
 CLOSE = 1e-6  # relative: one frequency
@@ -191,6 +191,9 @@ class ResponseTable(Part):
                     found.append(Cut(kind, f"{some[0]:.3g}–{some[-1]:.3g} {unit}", np.repeat(inside, 2)))
         return found
 
+    def origin(self, name: str) -> Origin:
+        return "repeats" if len(self.data.frequency) > len(self._turns) else "stated"
+
     def noise(self) -> Array:
         return np.asarray(self._variance * np.abs(self._means[:, None]) ** 2).reshape(1, -1)
 
@@ -231,6 +234,9 @@ class ResponseTable(Part):
 
     def title(self, name: str) -> str:
         return "response"
+
+    def unit(self, name: str) -> str:
+        return "1"
 
 
 def _blind(data: ResponseRecords) -> tuple[str, ...]:

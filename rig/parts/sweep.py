@@ -27,7 +27,7 @@ from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts import sweep_cuts, sweep_laws, sweep_options, sweep_signs
 from rig.parts.conditions import filled, logged
 from rig.parts.formulas import OF_SHAKER
-from rig.parts.part import Option, Part
+from rig.parts.part import Option, Origin, Part
 from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.parts.ripple import ELSEWHERE, Floor, said
@@ -290,6 +290,10 @@ class Sweep(Part):
 
     # noise, and what the rows stand for
 
+    def origin(self, name: str) -> Origin:
+        """Lines are as noisy as what lies beside them, means as the rest and all records' slow noise make them."""
+        return "beside the lines" if self.data.driven.all() else "at rest"
+
     def noise(self) -> Array:
         """The sensor's noise, and the reference's in channels along the drive; of a line half in each row."""
         return sweep_cuts.noise(self.data).reshape(len(self.row_names), -1)
@@ -306,8 +310,10 @@ class Sweep(Part):
     def allowance_of(self, name: str, mask: Mask) -> float:
         """Means wander with flicker below all lines of the records, which is known worse than a line's neighbours."""
         of_means = self.domains()["mean"]
-        slow = self.data.noise[self.row_names.index(name)].u_slow if of_means[mask].all() else 0.0
-        return math.hypot(self.allowance, slow)
+        if not of_means[mask].all():
+            return self.allowance
+        span = float(self.data.end.max() - self.data.begin.min())
+        return math.hypot(self.allowance, self.data.noise[self.row_names.index(name)].u_of_means(span))
 
     def domains(self) -> Mapping[str, Mask]:
         return sweep_cuts.domains_of(self.data)

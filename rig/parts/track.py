@@ -2,8 +2,10 @@
 
 Sensor and reference are compared on one even grid, in a band in which both are trustworthy. Every stretch of some
 seconds is turned by a cosine transform, whose lines are nearly independent with the density as variance (Whittle).
-What the noise is such a record seldom tells by a rest: it is taken from the part of each channel that no linear filter
-of the reference's motion explains (its incoherent part), whatever model is fitted.
+Noise of a device that stood still for some seconds, or whose data sheet is stated, is known whatever the model; what
+the reference's own noise adds while the case moves is told by its readings. Where neither is there, rows are weighed by
+the part of each channel that no linear filter of the reference's motion explains (its incoherent part): good enough to
+tell one effect from another, and no ground to call a model adequate, because what is missing lies in it too.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ from rig.errors import BadInput
 from rig.model import Channels, Local, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts.conditions import filled, logged
-from rig.parts.part import Part
+from rig.parts.part import Origin, Part
 from rig.parts.reference_motion import REMEMBERED, Shown, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Mask
+from rig.signals.noise import NoiseModel
 
 DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
 PER_DECADE = 8.0
@@ -33,6 +36,17 @@ LOUDEST = 16.0  # times the mean power that noise may have just when an effect s
 RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
 ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
 ALLOWANCE = 0.2
+KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misfit, beside what its fit left open
+WIDER = 1.5  # of the band: what the reference lets through of its noise
+APART = 3600.0  # s between two files, of which nobody knows the order
+
+
+@dataclass(frozen=True)
+class DeviceNoise:
+    """Noise of one channel, unit of its numbers, and where it is known from."""
+
+    model: NoiseModel
+    origin: Origin
 
 
 @dataclass(frozen=True)
@@ -70,6 +84,10 @@ class TrackRecords:
     bands: tuple[float, float]
     temperature: Array
     supply: Array
+    density: Array | None = None  # of the noise of a rotation's angle about each instant, rad²/Hz, (n,)
+    jitter: float = 0.0  # standard deviation of the time stamps, as the reference shows it, s
+    sampled: float = 0.0  # interval at which it was, s
+    noise: tuple[DeviceNoise | None, ...] = ()  # of every channel, if it is known whatever the model
     notes: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
 
@@ -205,13 +223,96 @@ class TrackedMotion(Part):
 
     @cached_property
     def variance(self) -> Array:
-        """Of every channel's lines, V², (c, width): smooth density of the incoherent part."""
-        return np.array([found for found, _ in self._noises])
+        """Of every channel's lines, V², (c, width): of known noise, else the smooth density of the incoherent part."""
+        return np.array([found[0] if found is not None else self._by_known(c) for c, found in enumerate(self._noises)])
+
+    def known(self, row: int) -> DeviceNoise | None:
+        """Noise of a channel that is known whatever the model."""
+        return self.data.noise[row] if self.data.noise else None
+
+    def _by_known(self, row: int) -> Array:
+        """Variance of the lines of a channel by its own noise and what the reference's adds, (width,).
+
+        Of a mean: what it would be alone; `whitened` ties the means of all stretches together.
+        """
+        known = self.known(row)
+        assert known is not None
+        found, means = [], np.diag(self._covariance(row, known.model))
+        for k, f in enumerate(self._frequencies):
+            at = np.maximum(f, 0.5 / (self._lengths[k] * self.data.interval))
+            both = known.model.density(at) + self._of_reference(row, k, at)
+            lines = both / (2.0 * self.data.interval)
+            lines[f == 0.0] = means[k] * self._lengths[k]
+            found.append(lines)
+        return np.concatenate(found)
 
     @cached_property
-    def _noises(self) -> list[tuple[Array, Array]]:
+    def _lengths(self) -> NDArray[np.intp]:
+        """Instants of every stretch."""
+        return np.array([end - begin for begin, end in self.data.stretches])
+
+    def _of_reference(self, row: int, stretch: int, f: Array, ends: float = 8.0) -> Array:
+        """Density that the noise of the reference's angle puts into a channel's lines, (f,).
+
+        A gyro about the axis is compared with the angle's first derivative; an accelerometer with gravity
+        that goes round a level axis, and beside the axis with the rate's square and the second derivative. A derivative
+        over a stretch of length T has besides the ends of the stretch in all its lines: noise of density S within a
+        band B adds 8·B·S/T, half of that to the mean.
+        """
+        data, channels = self.data, self.channels
+        here, seconds = slice(*data.stretches[stretch]), self._lengths[stretch] * data.interval
+        omega, width = 2.0 * math.pi * f, WIDER * max(data.bands)
+        first = omega**2 + ends * width / seconds
+        second = omega**4 + ends * (2.0 * math.pi) ** 2 * width**3 / (3.0 * seconds)
+        along = data.shown is not None and int(channels.axis[row]) == data.axis
+        if data.density is None or data.shown is None or along != bool(channels.rates[row]):
+            felt = np.zeros_like(f)
+        elif along:
+            felt = float(data.density[here].mean()) * first
+        else:
+            rate = float(np.mean(data.shown.rate[here] ** 2))
+            lying = data.gravity**2 * float(np.mean(data.upright[here] == 0.0))
+            felt = float(data.density[here].mean()) * (lying + data.radius**2 * (second + 4.0 * rate * first))
+        return np.asarray(channels.sensitivity[row] ** 2 * (felt + self._of_jitter(row, here)))
+
+    def _of_jitter(self, row: int, here: slice) -> float:
+        """Density that uncertain time stamps put into a channel's lines: slope times jitter, white at every sample."""
+        data = self.data
+        if not data.jitter:
+            return 0.0
+        axis = int(self.channels.axis[row])
+        slope = (
+            data.turning[axis, here] if self.channels.rates[row] else np.gradient(data.force[axis, here], data.interval)
+        )
+        return float(np.mean(slope**2)) * data.jitter**2 * 2.0 * data.sampled
+
+    def _covariance(self, row: int, model: NoiseModel) -> Array:
+        """Of a channel's means over all stretches, (s, s); files are taken to lie far apart in time."""
+        data = self.data
+        begin = np.array([data.time[b] for b, _ in data.stretches]) - 0.5 * data.interval
+        end = np.array([data.time[e - 1] for _, e in data.stretches]) + 0.5 * data.interval
+        back = np.concatenate([[0.0], np.maximum(end[:-1] - begin[1:], 0.0)])
+        later = np.cumsum(np.where(back > 0.0, back + APART, 0.0)) - begin[0]
+        of_reference = [float(self._of_reference(row, k, np.zeros(1), 4.0)[0]) for k in range(len(begin))]
+        return model.covariance(begin + later, end + later) + np.diag(np.array(of_reference) / (2.0 * (end - begin)))
+
+    @cached_property
+    def _means(self) -> dict[int, Array]:
+        """For channels with known noise the inverse Cholesky factor of the covariance of the stretches' means."""
+        found = {}
+        for row in range(len(self.channels.names)):
+            if (known := self.known(row)) is not None:
+                found[row] = np.linalg.inv(np.linalg.cholesky(self._covariance(row, known.model)))
+        return found
+
+    @cached_property
+    def _noises(self) -> list[tuple[Array, Array] | None]:
+        """Incoherent part of every channel whose noise is not known otherwise, and the freedom it left."""
         lines = self.lines(self.data.observed)
-        return [self._incoherent(lines[c], bool(rate)) for c, rate in enumerate(self.channels.rates)]
+        return [
+            None if self.known(c) is not None else self._incoherent(lines[c], bool(rate))
+            for c, rate in enumerate(self.channels.rates)
+        ]
 
     def _incoherent(self, target: Array, of_rate: bool) -> tuple[Array, Array]:
         """Variance of the lines of one channel that no linear filter of the reference explains, and the freedom that
@@ -261,7 +362,11 @@ class TrackedMotion(Part):
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
         lines = self.lines(np.asarray(raw, np.float64))
-        return np.asarray((lines * self._inside / np.sqrt(self.variance)).reshape(-1))
+        found = lines * self._inside / np.sqrt(self.variance)
+        of_means = np.flatnonzero(self.frequency_of == 0.0)
+        for row, factor in self._means.items():
+            found[row, of_means] = factor @ (lines[row, of_means] / np.sqrt(self._lengths))
+        return np.asarray(found.reshape(-1))
 
     @property
     def held_out(self) -> Mask:
@@ -300,8 +405,17 @@ class TrackedMotion(Part):
         return ALLOWANCE
 
     def allowance_of(self, name: str, mask: Mask) -> float:
-        """Where the filter left little freedom the density is known worse."""
-        freedom = float(self._noises[self.row_names.index(name)][1][mask].sum())
+        """As the noise is known; an incoherent part is known worse where the filter left little freedom to it."""
+        row = self.row_names.index(name)
+        left, known = self._noises[row], self.known(row)
+        if left is None:
+            assert known is not None
+            if not mask.any():
+                return KNOWN_ALLOWANCE
+            lowest = 1.0 / (self.data.interval * len(self.data.time))
+            u = known.model.u_log(np.maximum(self.frequency_of[mask], lowest))
+            return math.hypot(KNOWN_ALLOWANCE, float(np.sqrt(np.mean(u**2))))
+        freedom = float(left[1][mask].sum())
         return math.hypot(ALLOWANCE, math.sqrt(2.0 / max(freedom, 1.0)))
 
     def unevenness(self, change: Array, left: Array) -> float:
@@ -323,6 +437,16 @@ class TrackedMotion(Part):
             found.append(idct(table[:, at : at + len(f)], type=2, n=end - begin, norm="ortho", axis=1))
             at += len(f)
         return np.concatenate(found, axis=1)
+
+    @property
+    def to_know(self) -> str:
+        if self.data.place == "free":  # what cameras add while a body moves fast is not known from its rest
+            return "compare with a reference whose noise is far below the device's"
+        return "record 30 s at rest, or state the density (`noise` of the device's columns in the manifest)"
+
+    def origin(self, name: str) -> Origin:
+        known = self.known(self.row_names.index(name))
+        return "misfit" if known is None else known.origin
 
     def noise(self) -> Array:
         return np.asarray(self.variance / self.channels.sensitivity[:, None] ** 2)

@@ -25,6 +25,14 @@ Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 TOGETHER = 0.02
 """Share of edges of A and B within one sample above which the states cannot be counted one by one."""
+NEARBY = 1.0
+"""On either side of an instant, s: readings that say how noisy the angle is there."""
+CLEAR = 10.0
+"""Times the noise, in power."""
+MUCH = 0.01
+"""Of the rate's variance."""
+SURE = 5.0
+"""Standard deviations at which scatter that grows with the rate is no chance."""
 STANDING = 0.1
 """Without an edge for longer than this the platter stands or creeps, s."""
 
@@ -36,7 +44,10 @@ class AngleTrack:
     `time` s on the log's own clock, every `interval` s; `angle` rad (unwrapped), `rate` rad/s, `acceleration` rad/s²,
     each with its standard uncertainty `u_…` in the same unit; `good` is False in long gaps and near ends. `bandwidth`
     Hz: motion and noise are equal there, and nothing above it is to be trusted; `kept` Hz: to there the smoother keeps
-    99 %. `dropped`: rows whose time stamp did not increase. `notes`: what a reader must know, in sentences.
+    99 %. `clear` Hz: to there the motion stands ten times above the noise (in power). `density` rad²/Hz: that of the
+    angle's noise about each instant. `jitter` s: standard deviation of the time stamps, as far as readings scatter more
+    while the platter is fast; 0 where they do not. `dropped`: rows whose time stamp did not increase. `notes`: what a
+    reader must know, in sentences.
     """
 
     time: Array
@@ -50,6 +61,9 @@ class AngleTrack:
     good: NDArray[np.bool_]
     bandwidth: float
     kept: float
+    clear: float
+    density: Array
+    jitter: float
     dropped: int
     notes: tuple[str, ...]
 
@@ -80,12 +94,65 @@ def encoder_track(
     grid = stamps[0] + every * np.arange(math.floor((stamps[-1] - stamps[0]) / every + 1e-9) + 1)
     limit = 5.0 * step if longest is None else longest
     notes = (*_row_notes(time, angle, dropped, stamps, limit), *curve.notes)
-    return _track(curve, grid, every, trusted(curve, grid, stamps, limit), dropped, notes)
+    noise = _noise(curve, stamps, np.unwrap(values, period=TURN), grid)
+    return _track(curve, grid, every, trusted(curve, grid, stamps, limit), noise, dropped, notes)
+
+
+def _noise(curve: Curve, time: Array, angle: Array, grid: Array) -> tuple[Array, float]:
+    """Density of the angle's noise about each instant of the grid, rad²/Hz, and the jitter of the stamps, s.
+
+    Readings are taken to be off independently of each other, as far from the curve as they are about that instant: a
+    platter that stands between two codes has no noise. Jitter makes it grow as the square of the rate.
+    """
+    off = angle - curve.value(time)[:, 0]
+    sums = np.concatenate([[0.0], np.cumsum(off**2)])
+    first, last = (np.searchsorted(time, grid + side * NEARBY) for side in (-1.0, 1.0))
+    here = (sums[last] - sums[first]) / np.maximum(last - first, 1)
+    each = float(time[-1] - time[0]) / (len(time) - 1)
+    even = np.linspace(0.0, 0.5 / each, 500)
+    seen = float(np.mean((1.0 - curve.low_pass.response(even)) ** 2))  # of white noise; the rest is in the curve
+    return np.asarray(2.0 * each * here / seen), _jitter(off, curve.value(time, 1)[:, 0]) / math.sqrt(seen)
+
+
+def _jitter(off: Array, rate: Array) -> float:
+    """Standard deviation of time stamps by the growth of (angle off the curve)² with (rate)²; 0 where it is chance."""
+    square, speed = off**2, rate**2
+    speed = speed - speed.mean()
+    weight = float(speed @ speed)
+    if not weight > 0.0:
+        return 0.0
+    slope = float(speed @ square) / weight
+    left = square - square.mean() - slope * speed
+    u = math.sqrt(float((speed * left) @ (speed * left))) / weight  # White 1980: the scatter grows with the rate too
+    return math.sqrt(slope) if slope > SURE * u else 0.0
+
+
+def _clear(curve: Curve) -> float:
+    """To where the spectrum stands so far above its noise that a derivative of it is motion, Hz.
+
+    Sixth octaves from below; past two in a row that do not stand out, one counts only if it carries much of the rate. A
+    column made of the reference carries the reference's noise, which what is left of a gyro carries with the other
+    sign: a lag would seem to explain it.
+    """
+    spectrum = curve.spectrum
+    edges = spectrum.frequency[0] * 2.0 ** (np.arange(200) / 6.0)
+    number, failed, clear = np.digitize(spectrum.frequency, edges), 0, float(spectrum.frequency[0])
+    rate = spectrum.frequency**2 * spectrum.motion
+    for k in np.unique(number):
+        here = number == k
+        stands = float(spectrum.power[here].mean()) > (1.0 + CLEAR) * float(spectrum.noise[here].mean())
+        much = float(rate[here].sum()) > MUCH * float(rate.sum())
+        if stands and (failed < 2 or much):
+            failed, clear = 0, float(spectrum.frequency[here][-1])
+        elif not stands:
+            failed += 1
+    return clear
 
 
 def _track(
-    curve: Curve, grid: Array, interval: float, good: NDArray[np.bool_], dropped: int, notes: tuple[str, ...]
-) -> AngleTrack:
+    curve: Curve, grid: Array, interval: float, good: NDArray[np.bool_],
+    noise: tuple[Array, float], dropped: int, notes: tuple[str, ...],
+) -> AngleTrack:  # fmt: skip
     angle, rate, acceleration = (curve.value(grid, order)[:, 0] for order in range(3))
     u_angle, u_rate, u_acceleration = (np.sqrt(curve.variance(grid, order)) for order in range(3))
     return AngleTrack(
@@ -100,6 +167,9 @@ def _track(
         good=good,
         bandwidth=curve.spectrum.bandwidth,
         kept=curve.low_pass.kept,
+        clear=_clear(curve),
+        density=noise[0],
+        jitter=noise[1],
         dropped=dropped,
         notes=notes,
     )
@@ -240,7 +310,8 @@ def _smoothed(
     curve = _curve(time, angle, u_angle, u_time, keep, spans / spans.mean())
     every = float(np.median(np.diff(time))) if interval is None else interval
     grid = time[0] + every * np.arange(math.floor((time[-1] - time[0]) / every + 1e-9) + 1)
-    return _track(curve, grid, every, trusted(curve, grid, time, math.inf), 0, curve.notes)
+    good = trusted(curve, grid, time, math.inf)
+    return _track(curve, grid, every, good, _noise(curve, time, angle, grid), 0, curve.notes)
 
 
 def _steps(a: Pulses, b: Pulses) -> tuple[Array, Array, int]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +27,6 @@ CORNER_PERIODS = 4.0  # flicker: corner frequency times record length
 CLUSTERS = 9.0  # random walk: clusters in the record at the averaging time where it takes over
 HIGHEST_POLE = 0.4  # of the sampling rate; above it the filter cannot be told from aliased white noise
 LARGEST_LOG_U = 0.5  # relative standard uncertainty beyond which a coefficient is not determined
-FAR = 0.1  # of the lowest frequency of a density: there only flicker is left
 SHOWN = 2.0  # of the log-likelihood: what a term of two standard deviations gains
 EULER = 0.5772156649015329
 
@@ -44,14 +44,30 @@ class NoiseModel:
     flicker: float = 0.0  # unit²
     random_walk: float = 0.0  # unit²·Hz
     quantisation: float = 0.0  # unit²/Hz, known: step²/12 / (rate/2)
-    u_slow: float = 0.0  # relative standard uncertainty of the density far below all records that it was found from
     apart: float = 0.0  # unit²: variance of a constant that every block has of its own, no part of the density
+    u_apart: float = 0.0  # relative standard uncertainty of the variance of means, because of `apart`
+    names: tuple[str, ...] = ()  # of what was estimated, with the covariance of the logarithms
+    covariance_of_logs: tuple[tuple[float, ...], ...] = ()
 
     def density(self, f: ArrayLike) -> Array:
         """One-sided density at the frequencies `f` > 0 in Hz, as sampled, same shape."""
         frequency = np.asarray(f, dtype=float)
         slow = self.flicker / frequency + self.random_walk / frequency**2
         return np.asarray(_white_shape(frequency, self.pole, self.rate) * (self.white + slow) + self.quantisation)
+
+    def u_log(self, f: ArrayLike) -> Array:
+        """Relative standard uncertainty of the density at `f` > 0 in Hz, same shape; zero for a model that is given."""
+        frequency = np.asarray(f, dtype=float)
+        if not self.names:
+            return np.zeros_like(frequency)
+        log = np.log([max(getattr(self, name), 1e-300) for name in self.names])
+        whole, parts = _parts(frequency, self.names, log, self.rate)
+        shares = parts / (whole + self.quantisation)
+        return np.asarray(np.sqrt(np.einsum("i...,ij,j...->...", shares, np.array(self.covariance_of_logs), shares)))
+
+    def u_of_means(self, span: float) -> float:
+        """Relative standard uncertainty of the variance of means that are spread over so many seconds."""
+        return math.hypot(float(self.u_log(1.0 / span)), self.u_apart)
 
     def rms(self, low: float, high: float | None = None) -> float:
         """√∫ density df between `low` and `high` in Hz (Nyquist without), without the quantisation.
@@ -123,6 +139,11 @@ class NoiseModel:
         return level / 4 * (tau + np.expm1(-a * tau) / a)
 
 
+Beforehand = Mapping[str, tuple[float, float]]
+"""Logarithms known by other means, each with its standard uncertainty, by name of the parameter."""
+NOTHING: Beforehand = MappingProxyType({})
+
+
 @dataclass(frozen=True)
 class NoiseFit:
     """A noise model with what is known about it."""
@@ -172,7 +193,15 @@ class _Trial:
         return np.asarray(np.linalg.pinv(self.fisher, hermitian=True))
 
     def model(self, rate: float, quantisation: float) -> NoiseModel:
-        return NoiseModel(rate, quantisation=quantisation, **dict(zip(self.names, _exp(self.log), strict=True)))
+        return with_levels(rate, dict(zip(self.names, _exp(self.log), strict=True)), quantisation)
+
+
+def with_levels(rate: float, levels: Mapping[str, float], quantisation: float = 0.0) -> NoiseModel:
+    """A noise model with these levels by name, none of what is not named."""
+    return NoiseModel(
+        rate, levels.get("white", 0.0), levels.get("pole", math.inf), levels.get("flicker", 0.0),
+        levels.get("random_walk", 0.0), quantisation,
+    )  # fmt: skip
 
 
 def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:
@@ -186,12 +215,16 @@ def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp
     return fit_blocks(periodogram.result(), step=step, pole=pole, ramp=ramp)
 
 
-def fit_density(density: Density, rate: float, *, step: float, pole: float | None, shown: bool = False) -> NoiseModel:
+def fit_density(
+    density: Density, rate: float, *, step: float, pole: float | None, shown: bool = False,
+    beforehand: Beforehand | None = None,
+) -> NoiseModel:  # fmt: skip
     """White noise and flicker behind one pole from averaged periodograms of many records.
 
     The pole is adjusted too: `pole` (Hz) is where to look first; None for noise without one. `shown`: flicker only as
-    far as the lines show it, by two standard deviations. How well the noise of means is known (`u_slow`) is read off
-    the Fisher information. Raises BadInput for no bins.
+    far as the lines show it, by two standard deviations. `beforehand`: what is known of it by other means, a logarithm
+    and its standard uncertainty by name. How well the density is known is read off the Fisher information. Raises
+    BadInput for no bins.
     """
     if not len(density.frequency):
         raise BadInput("noise: found no line of a spectrum, wanted some")
@@ -200,15 +233,13 @@ def fit_density(density: Density, rate: float, *, step: float, pole: float | Non
     first = 0.3 * rate if pole is None else min(pole, 0.3 * rate)
 
     def trial(*names: str) -> _Trial:
-        return _maximum(density, names, _starting(density, names, first), rate, quantisation)
+        return _maximum(density, names, _starting(density, names, first), rate, quantisation, beforehand or {})
 
     found = trial("white", "flicker", *filtered)
     if shown and found.log_likelihood - (bare := trial("white", *filtered)).log_likelihood < SHOWN:
         found = bare
-    far = np.array([FAR * density.frequency.min()])
-    slow, shares = _parts(far, found.names, found.log, rate)
-    share = shares[:, 0] / slow[0]
-    return replace(found.model(rate, quantisation), u_slow=math.sqrt(float(share @ found.covariance() @ share)))
+    covariance = tuple(map(tuple, found.covariance().tolist()))
+    return replace(found.model(rate, quantisation), names=found.names, covariance_of_logs=covariance)
 
 
 def fit_blocks(lines: Lines, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:
@@ -347,29 +378,38 @@ def _parts(f: Array, names: Sequence[str], log: Array, rate: float) -> tuple[Arr
 
 
 def _likelihood(
-    bins: Density, names: Sequence[str], log: Array, rate: float, quantisation: float
+    bins: Density, names: Sequence[str], log: Array, rate: float, quantisation: float, beforehand: Beforehand
 ) -> tuple[float, Array, Array]:
-    """Log-likelihood of gamma distributed bins (constants left out), its gradient and the Fisher information."""
+    """Log-likelihood of gamma distributed bins (constants left out), its gradient and the Fisher information.
+
+    What is known beforehand counts as a normal observation of the logarithm.
+    """
     slow, parts = _parts(bins.frequency, names, log, rate)
     s = slow + quantisation + np.finfo(float).tiny
     ratio, half = bins.density / s, bins.dof / 2
     relative = parts / s
+    known = [beforehand.get(name, (0.0, math.inf)) for name in names]
+    weight = np.array([u**-2.0 for _, u in known])
+    off = log - np.array([at for at, _ in known])
     return (
-        -float(half @ (np.log(s) + ratio)),
-        relative @ (half * (ratio - 1)),
-        (relative * half) @ relative.T,
+        -float(half @ (np.log(s) + ratio)) - 0.5 * float(weight @ off**2),
+        relative @ (half * (ratio - 1)) - weight * off,
+        (relative * half) @ relative.T + np.diag(weight),
     )
 
 
-def _maximum(bins: Density, names: tuple[str, ...], log: Array, rate: float, quantisation: float) -> _Trial:
+def _maximum(
+    bins: Density, names: tuple[str, ...], log: Array, rate: float, quantisation: float,
+    beforehand: Beforehand = NOTHING,
+) -> _Trial:  # fmt: skip
     """Maximum of the likelihood by Fisher scoring, damped as Levenberg and Marquardt do."""
-    value, gradient, fisher = _likelihood(bins, names, log, rate, quantisation)
+    value, gradient, fisher = _likelihood(bins, names, log, rate, quantisation, beforehand)
     damping = 1e-2
     for _ in range(120):
         diagonal = np.diag(fisher)
         matrix = fisher + np.diag(damping * diagonal + 1e-12 * diagonal.max())
         step = np.clip(np.linalg.solve(matrix, gradient), -2.0, 2.0)
-        trial = _likelihood(bins, names, log + step, rate, quantisation)
+        trial = _likelihood(bins, names, log + step, rate, quantisation, beforehand)
         if trial[0] >= value:
             gain, log, damping = trial[0] - value, log + step, damping / 5
             value, gradient, fisher = trial

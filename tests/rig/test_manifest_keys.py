@@ -127,6 +127,7 @@ def numbers(read: Read) -> str:
         seen += [getattr(motion, name).tobytes() for name in ("force", "rate", "turning", "temperature", "along")]
         seen += [getattr(channels, name).tobytes() for name in ("rates", "axis", "slot", "sensitivity", "tolerance")]
         seen += [channels.pole.tobytes(), channels.names, part.target.tobytes(), part.held_out.tobytes()]
+        seen += [part.allowance_of(name, mask) for name in part.row_names for mask in part.domains().values()]
         seen += [part.name, part.extra.tobytes(), getattr(part, "notes", ()), getattr(part.data, "level", ())]
     return repr([*seen, [(term.key, term.prior) for term in known]])
 
@@ -193,6 +194,7 @@ def swapped(body: Body) -> None:
 
 
 COUNTS = column("acc_x_g", sensitivity="1 counts per g", unit="")
+SHEET = column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz"})
 PLACED = put("rotation", "radius", to="100 mm")
 LABELLED = put("segments", 0, "up", to="-x")
 STANDARD = {"name": "encoder", "certificate": "7", "laboratory": "PTB"}
@@ -245,6 +247,11 @@ CHANGES: dict[tuple[str, str], Change] = {
     ("Column", "gain_uncertainty"): ("rotation", nothing, column("encoder_deg", gain_uncertainty="2 %")),
     ("Column", "uncertainty_column"): ("response", nothing, column("mag", uncertainty_column="u_other")),
     ("Column", "coverage"): ("response", nothing, column("mag", coverage=2.0)),
+    ("SheetNoise", "density"): ("rotation", SHEET, column("gyro_z_dps", noise={"density": "0.05 (°/s)/√Hz"})),
+    ("SheetNoise", "tolerance"): (
+        "rotation", SHEET, column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz", "tolerance": "50 %"})),
+    ("SheetNoise", "corner"): (
+        "rotation", SHEET, column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz", "corner": ["1 Hz", "3 Hz"]})),
     ("Rotation", "axis"): ("rotation", nothing, put("rotation", "axis", to="x")),
     ("Rotation", "upright"): ("rotation", nothing, put("rotation", "upright", to=False)),
     ("Rotation", "sense"): ("rotation", nothing, put("rotation", "sense", to=-1)),
@@ -338,6 +345,12 @@ REFUSED: dict[str, tuple[str, Callable[[Body], None], str]] = {
     "a tolerance of a reference": ("rotation", column("encoder_deg", tolerance="1 %"), "found 'tolerance'"),
     "an uncertainty of a gyro": ("rotation", column("gyro_z_dps", uncertainty="1 °/s"), "found 'uncertainty'"),
     "a coverage alone": ("rotation", column("encoder_deg", coverage=2.0), "wanted an uncertainty that it covers"),
+    "noise of a reference": ("rotation", column("encoder_deg", noise={"density": "1 °/s"}), "found 'noise', wanted"),
+    "noise of free motion": ("motion", column("gyro_x", noise={"density": "1 (°/s)/√Hz"}), "found 'noise', wanted"),
+    "noise of no such unit": ("rotation", column("gyro_z_dps", noise={"density": "1 µg/√Hz"}), "gyro noise"),
+    "a corner that falls": (
+        "rotation", column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz", "corner": ["3 Hz", "1 Hz"]}),
+        "wanted one that rises"),
     "a pose of a rotation": ("rotation", put("pose", to={}), "found 'pose', wanted nothing for a rotation"),
     "a rotation of poses": ("poses", put("rotation", to={"axis": "z", "upright": True}), "found 'rotation'"),
     "segments of a motion": ("motion", put("segments", to=[{"first": 0, "last": 9, "up": "+x"}]), "found 'segments'"),

@@ -130,7 +130,7 @@ def test_json_has_the_keys_that_are_promised_and_only_finite_numbers() -> None:
     assert json.loads(text)["figures"] == ["a.svg"]
     assert set(made) == {"groups", "worst", "figures"}
     assert set(made["groups"][0]) == {
-        "name", "channels", "experiment", "error", "noise", "ratio", "heldout_ratio",
+        "name", "channels", "experiment", "error", "noise", "unit", "ratio", "heldout_ratio", "noise_from",
     }  # fmt: skip
     assert set(made["worst"][0]) == {"where", "ratio", "in_words"}
 

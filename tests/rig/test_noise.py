@@ -222,7 +222,7 @@ def test_how_well_the_noise_of_means_is_known_covers_what_records_say_of_it() ->
         bins = _bins(values, rate)
         found.append(noise.fit_density(bins, rate, step=0.0, pole=None))
     slow = np.log([float(one.density(0.01)) for one in found])
-    u = float(np.mean([one.u_slow for one in found]))
+    u = float(np.mean([one.u_log(0.01) for one in found]))
     assert 0.05 < u < 0.3
     assert float(np.std(slow)) == pytest.approx(u, rel=0.25)
 
@@ -230,3 +230,16 @@ def test_how_well_the_noise_of_means_is_known_covers_what_records_say_of_it() ->
 def _bins(values: np.ndarray, rate: float) -> spectrum.Density:
     lines = np.abs(np.fft.rfft(values))[1:-1] ** 2 * 2.0 / (rate * len(values))
     return spectrum.log_bins(np.arange(1, len(lines) + 1) * rate / len(values), lines, 20.0, 2.0)
+
+
+def test_what_a_data_sheet_says_counts_as_much_as_it_is_sure() -> None:
+    rate, rng = 100.0, np.random.default_rng(9)
+    bins = _bins(white(rng, 500, rate, 1e-4), rate)
+    free = noise.fit_density(bins, rate, step=0.0, pole=None)
+    sure = {"white": (math.log(4e-4), 1e-3)}
+    unsure = {"white": (math.log(4e-4), 10.0)}
+    bound = noise.fit_density(bins, rate, step=0.0, pole=None, beforehand=sure)
+    loose = noise.fit_density(bins, rate, step=0.0, pole=None, beforehand=unsure)
+    assert bound.white == pytest.approx(4e-4, rel=0.01)
+    assert loose.white == pytest.approx(free.white, rel=0.01)
+    assert float(bound.u_log(10.0)) < 0.01 < float(free.u_log(10.0))

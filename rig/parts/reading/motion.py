@@ -17,12 +17,15 @@ from rig.model import Array, Channels
 from rig.parts.conditions import smoothed
 from rig.parts.reading.poses import signed
 from rig.parts.reading.shared_lines import shared_lines
+from rig.parts.reading.track_noise import device_noise
 from rig.parts.reference_motion import Shown
 from rig.parts.track import TrackRecords, spun_force, spun_up
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.signals.pose_track import PoseTrack, pose_track
 
-PIECE = 10.0  # s of a stretch
+PIECE, SHORTEST_PIECE = 10.0, 3.0  # s of a stretch, at most and, of a short record, at least
+PIECES = 6  # of a short record
+ROUNDING = 1e-9
 SAMPLES = 4.0  # per period of the highest frequency compared
 TAPS = 24  # of the low-pass before thinning, per instant kept
 BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
@@ -63,12 +66,14 @@ def rotations(foreign: Foreign) -> TrackRecords:
         raise BadInput(f"{foreign.run}: found no rotation in its manifest, wanted it to say the axis")
     pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
     data = _joined(foreign, pieces, made)
-    return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
+    noise = device_noise(data, [one.noise for one in _device(foreign)])
+    return replace(data, noise=noise, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
 
 
 def motions(foreign: Foreign) -> TrackRecords:
     """Every file of a run of kind "motion" together. Raises BadInput where nothing can be compared."""
-    return _joined(foreign, [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables], None)
+    pieces = [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables]
+    return _joined(foreign, pieces, None)
 
 
 def _turned(foreign: Foreign, table: Table) -> AngleTrack:
@@ -225,10 +230,10 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
     stretches, held = _stretches(foreign, runs, records, interval)
     observed = np.concatenate([piece.observed[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
     time = np.concatenate([piece.time[s] for (piece, _, _), s in zip(runs, cut, strict=True)])
-    conditions = {
-        name: np.concatenate([piece.conditions[name][s] for (piece, _, _), s in zip(runs, cut, strict=True)])
-        for name in CONDITIONS
-    }
+    temperature, supply = (
+        np.concatenate([piece.conditions[name][s] for (piece, _, _), s in zip(runs, cut, strict=True)])
+        for name in ("temperature", "supply")
+    )
     notes = [note for piece in pieces for note in piece.track.notes]
     data = TrackRecords(
         name=f"{foreign.run}#{made.kind}", run=foreign.run, place="free" if rotation is None else "rotation",
@@ -236,14 +241,14 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
         upright=np.zeros(len(time)), phase=0.0, radius=0.0, outward=np.zeros(3), rate=np.zeros((3, len(time))),
         turning=np.zeros((3, len(time))), force=np.zeros((3, len(time))), up=np.zeros((3, len(time))),
         gravity=made.gravity.value, records=records, stretches=stretches, held=held, bands=bands, notes=tuple(notes),
-        blind=_BLIND, **conditions,
+        blind=_BLIND, temperature=temperature, supply=supply,
     )  # fmt: skip
     if rotation is None:
-        vectors = {
-            name: np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs], axis=1)
+        rate, turning, force, up = (
+            np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs], axis=1)
             for name in ("rate", "turning", "force", "up")
-        }
-        return TrackRecords(**{**vars(data), **vectors})
+        )
+        return replace(data, rate=rate, turning=turning, force=force, up=up)
     return _with_encoder(data, runs, rotation, _stated_up(foreign, runs))
 
 
@@ -275,8 +280,8 @@ def _with_encoder(
     data: TrackRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation, stated: Sequence[Stated]
 ) -> TrackRecords:
     """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
-    arrays = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
-              for name in ("angle", "rate", "acceleration")]  # fmt: skip
+    *arrays, density = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
+                        for name in ("angle", "rate", "acceleration", "density")]  # fmt: skip
     axis = AXES.index(rotation.axis)
     found, said = _sense(data, axis, arrays[1])
     sense = float(rotation.sense or found or 1)
@@ -291,7 +296,9 @@ def _with_encoder(
         upright = np.zeros_like(upright)
     made = replace(
         data, shown=shown, axis=axis, upright=upright, phase=phase, radius=rotation.radius, outward=outward, rate=rate,
-        turning=turning, notes=(*notes, *more, *_against(data, stated)),
+        turning=turning, density=density,
+        jitter=max(piece.track.jitter for piece, _, _ in runs if isinstance(piece.track, AngleTrack)),
+        sampled=runs[0][0].track.interval, notes=(*notes, *more, *_against(data, stated)),
     )  # fmt: skip
     up = spun_up(made, shown.angle)
     return replace(made, up=up, force=spun_force(made, up, shown))
@@ -408,8 +415,9 @@ def _against(data: TrackRecords, stated: Sequence[Stated]) -> list[str]:
 
 
 def _bands(foreign: Foreign, track: AngleTrack | PoseTrack) -> tuple[float, float]:
-    """Of rates and of forces, Hz: as stated, else to where the track keeps the motion."""
-    stated, own = foreign.manifest.compared, track.kept
+    """Of rates and of forces, Hz: as stated, else to where the track keeps the motion, and it is no noise."""
+    stated = foreign.manifest.compared
+    own = min(track.kept, track.clear) if isinstance(track, AngleTrack) else track.kept
     kept = own if isinstance(own, tuple) else (own, own)
     return stated.rate_band or kept[0], stated.force_band or kept[1]
 
@@ -431,20 +439,22 @@ def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:
 def _stretches(
     foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float
 ) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:
-    """Pieces of about equal length, and whether each is held out: of a file so marked, else the end of every file.
+    """Pieces of about equal length, and whether each is held out: of a file so marked, else evenly over every file.
 
-    The ends of a record are left out: what a model does to a motion is not known there, because what was before is not.
+    What creeps or steps in the course of a record shows only in pieces that are held out from all over it. The ends of
+    a record are left out: what a model does to a motion is not known there, because what was before is not.
     """
     by_file = any(table.held_out for table in foreign.tables)
     share = foreign.manifest.compared.held_out
-    found, held = [], []
+    found, held, before = [], [], dict.fromkeys((table.label for table in foreign.tables), 0)
     for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
         begin, end, first = begin + EDGE, end - EDGE, first + EDGE
-        count = max(1, round((end - begin) * interval / PIECE))
+        seconds = (end - begin) * interval
+        count = max(1, round(seconds / min(PIECE, max(seconds / PIECES, SHORTEST_PIECE))))
         length = (end - begin) // count
-        limit = piece.time[0] + (1.0 - share) * (piece.time[-1] - piece.time[0])
         for k in range(count):
             found.append((first + k * length, first + (k + 1) * length))
-            late = piece.time[begin + k * length] >= limit - 0.5 * length * interval
-            held.append(piece.table.held_out if by_file else bool(late))
+            number = before[piece.table.label] = before[piece.table.label] + 1
+            due = math.floor(number * share + ROUNDING) > math.floor((number - 1) * share + ROUNDING)
+            held.append(piece.table.held_out if by_file else due)
     return tuple(found), np.array(held)

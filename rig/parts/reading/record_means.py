@@ -55,7 +55,7 @@ def noise_of(found: Sequence[Density], rate: float, pole: float | None, means: M
     apart, freedom = between(means.values, covariance, design := means.design), len(means.values) - design.shape[1]
     share = apart / (apart + float(np.trace(covariance)) / len(means.values))
     known = share * math.sqrt(2.0 / max(freedom, 1))
-    return replace(model, apart=apart, u_slow=math.hypot(model.u_slow, known))
+    return replace(model, apart=apart, u_apart=known)
 
 
 def between(values: Array, covariance: Array, design: Array) -> float:

@@ -3,6 +3,7 @@
 `rig demo hidden --seed N` draws from all that the simulated bench can hide, so a seed hides something else whenever a
 kind is added or its sizes change. A failure seen at an old seed can be made again from here. `earlier_worlds.json` has
 for every such seed the entries of a world's file with the strength d′ that they had; the bench was that of seed 1.
+White noise was then stated by its rms at 3125 Hz, which stands here as its density; slow noise was another draw.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from rig.model import BOTH, Coordinate, Effect, Parameter
 class Flicker(Effect):
     stage = "noise"
     title = "flicker noise"
-    equation = "density = level²/f"
+    equation = "S(f) = level²/f, one-sided"
     quantities = BOTH
     coordinates = (Coordinate("level", 1e-4),)
     parameters = (Parameter("level", "SI", (0.0, 10.0), (1e-5, 1e-2)),)

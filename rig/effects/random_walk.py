@@ -9,7 +9,7 @@ from rig.model import BOTH, Coordinate, Effect, Parameter
 class RandomWalk(Effect):
     stage = "noise"
     title = "random walk of the zero"
-    equation = "density = 2·coefficient²/(2π·f)²"
+    equation = "S(f) = 2·coefficient²/(2π·f)², one-sided"
     quantities = BOTH
     coordinates = (Coordinate("coefficient", 1e-5),)
     parameters = (Parameter("coefficient", "SI/√s", (0.0, 1.0), (1e-6, 1e-3)),)

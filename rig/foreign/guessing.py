@@ -10,32 +10,30 @@ tells is left for the person. What looks wrong with the data is written at the t
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from rig.errors import BadInput
 from rig.foreign import readers as foreign_files
-from rig.foreign.checks import findings
+from rig.foreign import text_dialects, text_files
 from rig.foreign.column_names import Named, named
-from rig.foreign.importing import foreign, rate_of, wanted
-from rig.foreign.manifest import UNIT_KINDS, Manifest
+from rig.foreign.drafting import Draft, body, head, to_fill
+from rig.foreign.manifest import SI_OF, UNIT_KINDS
 from rig.foreign.pairs import AXES, still_magnitude
 from rig.foreign.readers import Csv
-from rig.foreign.tables import Array, Table, numbers
-from rig.units import KINDS, STANDARD_GRAVITY
+from rig.foreign.tables import Array, numbers
+from rig.units import STANDARD_GRAVITY
 
 FASTEST = 35.0  # rad/s: 2000 °/s, where common gyros end
-DELIMITERS = (",", ";", "\t", "|", " ")
-FILLED = {"serial": "unknown", "source": "unknown", "licence": "unknown", "rate": "100 Hz"}
-NO_TEXT = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan")
+TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+ROS = ("angular_velocity", "linear_acceleration")  # names of sensor_msgs/Imu, whose units are rad/s and m/s²
+EVEN = 0.05  # of a step: how even stamps are that a rate stands for
 POSES = 4  # directions of gravity that make a record a multi-position one
 
 
@@ -48,34 +46,19 @@ class Guess:
     to_fill: tuple[str, ...]
 
 
-@dataclass
-class Draft:
-    """What is known so far; `why` goes into comments."""
-
-    file: str
-    label: str
-    form: str
-    how: Csv
-    columns: dict[str, Array]
-    named: list[Named] = field(default_factory=list)
-    left_out: list[tuple[str, str]] = field(default_factory=list)
-    said: tuple[str, ...] = ()  # comments at the head of the file
-    time: tuple[str, str, str] | None = None  # column, unit, why
-    kind: tuple[str, str] = ("static", "")
-    rotation: tuple[str, bool, str] | None = None
-
-
 def guess(path: Path, folder: Path) -> Guess:
     """Draft a manifest for a file; its path is written as seen from `folder`. Raises BadInput if it cannot be read."""
     draft = _read(path, folder)
     for name, values in draft.columns.items():
         _place(draft, name, values)
+    _time_of(draft)
     _uncertainties(draft)
     _one_device(draft)
+    _without_axis(draft)
     _units_from_values(draft)
     _roles_and_kind(draft)
-    to_fill = tuple(_to_fill(draft))
-    return Guess(draft.kind[0], "\n".join([*_head(draft, to_fill), *_body(draft, filled=False), ""]), to_fill)
+    lacking = tuple(to_fill(draft))
+    return Guess(draft.kind[0], "\n".join([*head(draft, lacking), *body(draft, filled=False), ""]), lacking)
 
 
 def _read(path: Path, folder: Path) -> Draft:
@@ -85,109 +68,86 @@ def _read(path: Path, folder: Path) -> Draft:
         raise BadInput(f"{path}: found it unreadable ({error.strerror}), wanted a file of measurements") from error
     try:
         form = foreign_files.format_of(path.name)
-        how = written(raw) if form == "csv" else Csv()
+        how = text_dialects.written(raw) if form == "csv" else Csv()
         there = foreign_files.names(raw, form, how)
-        columns, left_out = _numbers(raw, form, there, how)
+        units = dict(zip(there, text_files.units(raw, how), strict=False)) if form == "csv" else {}
+        columns, left_out, odd = _numbers(raw, form, there, how)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     if not columns:
-        raise BadInput(f"{path}: found no column of numbers with a name of its own, wanted some")
+        why = "; ".join(f"{name}: {why}" for name, why in left_out[:2])
+        raise BadInput(f"{path}: found no column of numbers with a name of its own ({why}), wanted some")
     columns = {name: numbers(values) for name, values in columns.items()}
     label = re.sub(r"[^A-Za-z0-9 _-]+", "-", path.stem).strip("-_ ")[:60] or "import"
-    where, said = os.path.relpath(path, folder), _comments(raw, form, how)
-    return Draft(where, label, form, how, columns, left_out=left_out, said=said)
+    where, said = os.path.relpath(path, folder), text_dialects.comments(raw, how) if form == "csv" else ()
+    return Draft(where, label, form, how, columns, units, left_out=left_out, said=said, odd=odd)
 
 
-def _comments(raw: bytes, form: str, how: Csv) -> tuple[str, ...]:
-    """What a text file says in comments before its numbers; often the sampling interval."""
-    if form != "csv" or not how.comment:
-        return ()
-    lines = raw[:4000].decode("utf-8-sig", "replace").splitlines()[:10]
-    return tuple(line.strip()[:160] for line in lines if line.lstrip().startswith(how.comment))
-
-
-def written(raw: bytes) -> Csv:
-    """How a text file is written, from its first lines: delimiter, comment, header, decimal sign."""
-    text = raw[:20_000].decode("utf-8-sig", "replace").splitlines()[:60]
-    comment = next((sign for sign in ("#", "%") if text and text[0].lstrip().startswith(sign)), "#")
-    lines = [line for line in text if line.strip() and not line.lstrip().startswith(comment)]
-    lines = lines[:-1] if len(lines) > 2 else lines or text  # the last one may be cut
-    best = max(DELIMITERS, key=lambda sign: _splits(lines, sign))
-    cells = [cell for line in lines[1:] for cell in _cut(line, best)]
-    commas = best != "," and sum(bool(re.fullmatch(r"[-+]?\d+,\d+", cell)) for cell in cells) > 0.2 * len(cells)
-    if _names_in_comment(text, lines, comment, best, commas):
-        return Csv(best, "", True, "," if commas else ".")
-    header = any(cell and not _is_number(cell, commas) for cell in _cut(lines[0], best))
-    return Csv(best, comment, header, "," if commas else ".")
-
-
-def _cut(line: str, sign: str) -> list[str]:
-    return [cell.strip().strip('"') for cell in line.split(sign if sign != " " else None)]
-
-
-def _names_in_comment(text: Sequence[str], lines: Sequence[str], comment: str, sign: str, commas: bool) -> bool:
-    """Whether the only comment is a header: as many cells as the rows below it, which are all numbers."""
-    alone = sum(line.lstrip().startswith(comment) for line in text) == 1 and text[0].lstrip().startswith(comment)
-    numbers = all(_is_number(cell, commas) for cell in _cut(lines[0], sign))
-    return alone and numbers and sign != " " and len(_cut(text[0], sign)) == len(_cut(lines[0], sign)) > 1
-
-
-def _splits(lines: Sequence[str], sign: str) -> tuple[int, float, int]:
-    """How well a delimiter cuts lines: everywhere into the same number of cells, into numbers, into many."""
-    cut = [_cut(line, sign) for line in lines]
-    rows = cut[1:] or cut
-    alike = len({len(row) for row in rows}) == 1 and len(rows[0]) > 1
-    same = alike and len(cut[0]) == len(rows[0])  # a decimal comma cuts rows, but not the header
-    cells = [cell for row in rows for cell in row]
-    numbers = sum(_is_number(cell, sign != ",") for cell in cells) / len(cells)
-    return 2 * same + alike, round(numbers, 1), len(rows[0]) if sign != " " else 1
-
-
-def _is_number(cell: str, commas: bool) -> bool:
-    try:
-        float(cell.replace(",", ".") if commas else cell)
-    except ValueError:
-        return cell.lower() in foreign_files.NOT_A_NUMBER
-    return True
-
-
-def _numbers(raw: bytes, form: Any, there: Sequence[str], how: Csv) -> tuple[dict[str, Array], list[tuple[str, str]]]:
-    """Columns of numbers by name, and those that are none."""
+def _numbers(
+    raw: bytes, form: Any, there: Sequence[str], how: Csv
+) -> tuple[dict[str, Array], list[tuple[str, str]], tuple[str, ...]]:
+    """Columns of numbers by name, those that are none and why, and what is odd about the lines."""
     columns: dict[str, Array] = {}
-    left_out = []
     single = [name for name in there if name and there.count(name) == 1]
-    left_out += [(name or "(no name)", "no name of its own") for name in dict.fromkeys(there) if name not in single]
+    left_out = [(name or "(no name)", "no name of its own") for name in dict.fromkeys(there) if name not in single]
     try:
-        table = foreign_files.columns(raw, form, single, how) if single else np.empty((0, 0))
-        return {name: table[:, k] for k, name in enumerate(single)}, left_out
+        if single:
+            table = foreign_files.read(raw, form, single, how)
+            return {name: table.values[:, k] for k, name in enumerate(single)}, left_out, table.said
     except BadInput:
         pass  # some are text or of another length: one by one
+    odd: list[str] = []
     for name in single:
         try:
-            columns[name] = foreign_files.columns(raw, form, [name], how)[:, 0]
-        except BadInput:
-            left_out.append((name, "not numbers"))
+            table = foreign_files.read(raw, form, [name], how)
+            columns[name] = table.values[:, 0]
+            odd += table.said
+        except BadInput as error:
+            left_out.append((name, f"not numbers ({error})"))
     longest = max((len(values) for values in columns.values()), default=0)
     short = [name for name, values in columns.items() if len(values) != longest]
     left_out += [(name, f"{len(columns[name])} numbers, the others have {longest}") for name in short]
-    return {name: values for name, values in columns.items() if name not in short}, left_out
+    kept = {name: values for name, values in columns.items() if name not in short}
+    return kept, left_out, tuple(dict.fromkeys(odd))
 
 
 def _place(draft: Draft, name: str, values: Array) -> None:
-    """Time, a quantity by its name, or nothing that is known."""
-    one = named(name)
+    """A quantity by its name, or nothing that is known; time is chosen among all that is called so."""
+    one = named(name, draft.units.get(name, ""))
     if one is None:
         draft.left_out.append((name, "the name says no quantity"))
-    elif one.quantity == "time":
-        unit, why = _time_unit(one, values)
-        if draft.time is not None or not _runs(values):
-            draft.left_out.append((name, "does not run like time" if draft.time is None else "another time"))
-        else:
-            draft.time = (name, unit, why)
     elif one.quantity == "left out":
         draft.left_out.append((name, one.why))
+    elif one.quantity == "quaternion" and not _moves(values):
+        draft.left_out.append((name, "an attitude that never changes"))
+    elif one.quantity in ("time", "part of time"):
+        (draft.parts if one.quantity == "part of time" else draft.times).append(one)
     else:
         draft.named.append(one)
+
+
+def _moves(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0
+
+
+def _time_of(draft: Draft) -> None:
+    """The column of time stamps: when it was measured before when it was logged; else a rate from its parts."""
+    for one in sorted(draft.times, key=lambda one: not re.search(r"header|stamp", one.column.lower())):
+        unit, why = _time_unit(one, draft.columns[one.column])
+        if draft.time is not None or not _runs(draft.columns[one.column]):
+            said = "does not run like time" if draft.time is None else "another time"
+            draft.left_out.append((one.column, said))
+        else:
+            draft.time = (one.column, unit, why)
+    draft.left_out += [(one.column, "a part of a time stamp") for one in draft.parts]
+    if draft.time is None and len(draft.parts) == 2:
+        whole = sum((draft.columns[one.column] * TIMES[one.unit] for one in draft.parts), np.zeros(1))
+        steps = np.diff(whole)
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        if usual > 0.0 and float(np.abs(steps - usual).max()) < EVEN * usual:
+            both = " and ".join(one.column for one in draft.parts)
+            draft.rate = (f"{1.0 / usual:.6g} Hz", f"{both} together run evenly; neither alone is the time, check")
 
 
 def _runs(values: Array) -> bool:
@@ -200,7 +160,7 @@ def _time_unit(one: Named, values: Array) -> tuple[str, str]:
         return one.unit, one.why
     steps = np.diff(values[np.isfinite(values)])
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
-    for unit, scale in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)):
+    for unit, scale in TIMES.items():
         if 10.0 <= 1.0 / (usual * scale) <= 2e4:
             rate = 1.0 / (usual * scale)
             return unit, f"{one.why}; no unit in it, {unit} makes {rate:.4g} Hz, check"
@@ -235,6 +195,15 @@ def _one_device(draft: Draft) -> None:
     draft.named = kept
 
 
+def _without_axis(draft: Draft) -> None:
+    """What has no axis beside a whole triad is its magnitude, or another sensor."""
+    for quantity in SI_OF:
+        mine = [one for one in draft.named if one.quantity == quantity]
+        for one in [o for o in mine if not o.axis and {other.axis for other in mine} > set(AXES)]:
+            draft.named.remove(one)
+            draft.left_out.append((one.column, f"{quantity} of no axis beside three that have one: a magnitude?"))
+
+
 def _units_from_values(draft: Draft) -> None:
     draft.named = [one if one.unit or not UNIT_KINDS[one.quantity] else _with_unit(draft, one) for one in draft.named]
 
@@ -250,6 +219,8 @@ def _with_unit(draft: Draft, one: Named) -> Named:
         case "acceleration":
             return _acceleration(draft, one)
         case "rate":  # a slow turn in °/s looks like a fast one in rad/s: only the person knows
+            if largest <= FASTEST and all(any(word in name for name in draft.columns) for word in ROS):
+                return replace(one, unit="rad/s", why=f"{one.why}; named as in ROS's Imu message: rad/s, check")
             unit = "°/s" if largest > FASTEST else ""
             why = f"reaches {largest:.4g}, too fast for rad/s" if unit else f"reaches {largest:.4g}: °/s or rad/s?"
             return replace(one, unit=unit, why=f"{one.why}; {why}")
@@ -349,124 +320,3 @@ def _directions(draft: Draft) -> int:
     means = blocks.mean(axis=1)[spread <= np.quantile(spread, 0.5)]
     main = np.argmax(np.abs(means), axis=1)
     return len({(int(k), bool(mean[k] > 0.0)) for k, mean in zip(main, means, strict=True)})
-
-
-def _to_fill(draft: Draft) -> Iterator[str]:
-    yield from ("unit.serial", "provenance.source", "provenance.licence")
-    if draft.kind[0] != "response" and draft.time is None:
-        yield "time.rate"
-    if draft.kind[0] == "rotation" and draft.rotation is None:
-        yield "rotation.axis, rotation.upright"
-    for one in draft.named:
-        if one.unit == "counts":
-            yield f"sensitivity of {one.column}"
-        elif not one.unit and UNIT_KINDS[one.quantity]:
-            yield f"unit of {one.column}"
-    if draft.kind[0] == "motion" and not any(one.quantity == "position" for one in draft.named):
-        yield "a column of position"
-    if not any(one.role == "device" for one in draft.named):
-        yield "a column of the device"
-
-
-def _head(draft: Draft, to_fill: Sequence[str]) -> Iterator[str]:
-    rows = len(next(iter(draft.columns.values())))
-    yield f"# Drafted from {draft.file} ({rows} rows). Every guess has its reason; check them all."
-    yield f"# For you to fill in: {'; '.join(to_fill)}."
-    yield from (f"# the file says: {line.lstrip(draft.how.comment).strip()}" for line in draft.said)
-    for text in _looked_at(draft):
-        yield f"# found: {text}"
-
-
-def _looked_at(draft: Draft) -> Iterator[str]:
-    """Sampling rate, and what looks wrong with the data, if the draft is a manifest once it is filled in."""
-    if not draft.named:
-        return
-    body = yaml.safe_load("\n".join(_body(draft, filled=True)))
-    made = Manifest.model_validate_json(json.dumps(body), strict=True)
-    if any(name not in draft.columns for name in wanted(made)):
-        return
-    values = np.column_stack([draft.columns[name] for name in wanted(made)])
-    table = Table(draft.label, wanted(made), values, {}, False)
-    data = foreign(made, [table])
-    rate = rate_of(data, table)
-    if draft.time is not None and rate:
-        yield f"{rate:.6g} samples per second"
-    scaled = not any(one.unit == "counts" or (not one.unit and UNIT_KINDS[one.quantity]) for one in draft.named)
-    yield from (one.text for one in findings(data) if scaled or one.kind_of != "unit")
-
-
-def _body(draft: Draft, *, filled: bool) -> Iterator[str]:
-    """The manifest's lines; `filled` with something in place of what only a person knows."""
-    blank = FILLED if filled else dict.fromkeys(FILLED, "")
-    yield "format: 1"
-    yield f"kind: {draft.kind[0]}  # guess: {draft.kind[1]}"
-    yield f"label: {_text(draft.label)}"
-    yield f'unit: {{serial: {_text(blank["serial"])}, model: ""}}  # fill in: names the device; its runs share a model'
-    yield "provenance:"
-    yield f"  source: {_text(blank['source'])}  # fill in: where the data come from, so that anybody can find them"
-    yield f"  licence: {_text(blank['licence'])}  # fill in"
-    yield f"files: [{{path: {_text(draft.file)}, label: {_text(draft.label)}}}]"
-    yield from _reading(draft)
-    yield from _time(draft, blank)
-    if draft.rotation is not None:
-        axis, upright, why = draft.rotation
-        yield f"rotation: {{axis: {axis}, upright: {str(upright).lower()}}}  # guess: {why}"
-    if draft.kind[0] == "motion":
-        yield "pose: {quaternion: body_to_world, up: z}  # guess: the usual way round, check"
-    if draft.kind[0] == "sweep":
-        yield "# mains: 50 Hz  # check: yours, if the sockets hum; it tells the recorder's clock from the drive's"
-        yield "# settings of a file go beside its label: settings: {frequency: 5 Hz, level: low}"
-    yield "columns:"
-    yield from (_column(draft, one, filled) for one in draft.named)
-    yield from (f"# left out: {name}: {why}" for name, why in draft.left_out)
-
-
-def _reading(draft: Draft) -> Iterator[str]:
-    how, parts = draft.how, [f"format: {draft.form}"]
-    if draft.form == "csv":
-        parts += [f"{key}: {_text(getattr(how, key))}" for key in ("delimiter", "comment", "decimal")]
-        yield f"reading: {{{', '.join(parts)}, header: {str(how.header).lower()}}}  # guess: from the first lines"
-
-
-def _time(draft: Draft, blank: Mapping[str, str]) -> Iterator[str]:
-    if draft.kind[0] == "response":
-        return
-    if draft.time is None:
-        yield f"time: {{rate: {_text(blank['rate'])}}}  # fill in: no column of time was found"
-    else:
-        column, unit, why = draft.time
-        yield f"time: {{column: {_text(column)}, unit: {_text(unit)}}}  # guess: {why}"
-
-
-def _column(draft: Draft, one: Named, filled: bool) -> str:
-    why = one.why
-    parts = [f"column: {_text(one.column)}", f"quantity: {one.quantity}"]
-    if one.unit == "counts":
-        zero, because = _zero(draft, one)
-        per = "m/s²" if one.quantity == "acceleration" else "rad/s"
-        parts += [f"sensitivity: {_text(f'1 counts per {per}' if filled else '')}", f"zero: {zero}"]
-        why = f"{why}; {because}"
-    elif UNIT_KINDS[one.quantity]:
-        parts.append(f"unit: {_text(one.unit or (KINDS[UNIT_KINDS[one.quantity]].si.symbol if filled else ''))}")
-    parts += [f"axis: {one.axis}"] if one.axis and one.quantity != "quaternion" else []
-    parts += [f"component: {one.component}"] if one.component else []
-    parts += [f"role: {one.role}"] if one.role != "device" else []
-    parts += [f"uncertainty_column: {_text(one.uncertainty_column)}"] if one.uncertainty_column else []
-    return f"- {{{', '.join(parts)}}}  # guess: {why}"
-
-
-def _zero(draft: Draft, one: Named) -> tuple[int, str]:
-    """What counts stand for nothing: the middle of 12, 16 or 24 bits if they are never negative, else 0."""
-    values = draft.columns[one.column]
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-    for bits in (12, 16, 24):
-        if low >= 0.0 and 2 ** (bits - 1) < high < 2**bits:
-            return 2 ** (bits - 1), f"{low:.0f} to {high:.0f}: {bits} bits around {2 ** (bits - 1)}, check"
-    return 0, f"{low:.0f} to {high:.0f}: around 0, check"
-
-
-def _text(value: str) -> str:
-    """A YAML text: plain where that is the same, else in quotes."""
-    plain = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*|°(/s)?|m/s²", value) and value.lower() not in NO_TEXT
-    return value if plain else json.dumps(value, ensure_ascii=False)

@@ -35,6 +35,7 @@ class File:
     sha256: str
     size: int  # bytes
     table: Table
+    odd: tuple[str, ...] = ()  # lines that hold something else than numbers
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,14 @@ def open_manifest(path: Path, folder: Path | None = None) -> Read:
     if problems:
         raise ConfigError(sorted(set(problems)))
     data = foreign(made, [file.table for file in files])
-    return Read(path, path.read_bytes(), made, tuple(files), (*_twice(files), *findings(data)))
+    return Read(path, path.read_bytes(), made, tuple(files), (*_twice(files), *_odd(files), *findings(data)))
 
 
 def csv_of(reading: Reading) -> foreign_files.Csv:
     """How a manifest says that its text files are written."""
-    return foreign_files.Csv(reading.delimiter, reading.comment, reading.header, reading.decimal)
+    return foreign_files.Csv(
+        reading.delimiter, reading.comment, reading.header, reading.decimal, reading.skip, reading.units
+    )
 
 
 def wanted(made: Manifest) -> tuple[str, ...]:
@@ -106,15 +109,16 @@ def _read(document: Document, made: Manifest, number: int, source: Source, folde
         there = foreign_files.names(raw, form, csv_of(made.reading))
         _refuse_absent(document, made, there, source)
         names = wanted(made)
-        values = foreign_files.columns(raw, form, names, csv_of(made.reading))
+        columns = foreign_files.read(raw, form, names, csv_of(made.reading))
     except ConfigError:
         raise
     except BadInput as error:
         raise ConfigError([document.problem(at, f"{source.path}: {error}")]) from error
+    values = columns.values
     if KINDS[made.kind].timed and len(values) < 2:
         raise ConfigError([document.problem(at, f"{source.path}: found {len(values)} row, wanted a record")])
     table = Table(source.label or path.stem, names, values, dict(source.settings), source.held_out)
-    return File(source, hashlib.sha256(raw).hexdigest(), len(raw), table)
+    return File(source, hashlib.sha256(raw).hexdigest(), len(raw), table, columns.said)
 
 
 def _refuse_absent(document: Document, made: Manifest, there: Sequence[str], source: Source) -> None:
@@ -155,6 +159,11 @@ def _twice(files: Sequence[File]) -> Iterator[Finding]:
             text = f"{file.source.path} has the same contents as {seen[file.sha256]}, byte for byte"
             yield Finding("same_file", file.table.label, text)
         seen.setdefault(file.sha256, file.source.path)
+
+
+def _odd(files: Sequence[File]) -> Iterator[Finding]:
+    for file in files:
+        yield from (Finding("lines", file.table.label, text) for text in file.odd)
 
 
 def keep(read: Read, runs: Runs) -> str:

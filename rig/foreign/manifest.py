@@ -196,6 +196,8 @@ class Reading(Strict):
 
     CSV: `delimiter`, lines beginning with `comment` are skipped, `header` false if no line names the columns (they are
     then "1", "2", …); a `delimiter` of one blank means any run of blanks. `decimal` is the sign before the decimals.
+    `skip` lines stand before the one that names the columns; an LVM file's own header needs no number. `units`: a line
+    of units follows the names; what they are is said in `columns`.
     NPY, NPZ, MAT and HDF5: columns are named `variable` or `variable[3]` (from 0).
     """
 
@@ -204,6 +206,8 @@ class Reading(Strict):
     comment: str = "#"
     header: bool = True
     decimal: Literal[".", ","] = "."
+    skip: int = Field(default=0, ge=0)
+    units: bool = False
 
 
 class TimeBase(Strict):

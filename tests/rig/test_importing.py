@@ -17,10 +17,11 @@ from rig.archive.records import Records
 from rig.archive.runs import Runs
 from rig.errors import BadInput, ConfigError
 from rig.foreign import readers as foreign_files
-from rig.foreign.guessing import guess, written
+from rig.foreign.guessing import guess
 from rig.foreign.importing import Read, keep, open_manifest
 from rig.foreign.readers import Csv, columns
 from rig.foreign.tables import foreign_of
+from rig.foreign.text_dialects import written
 
 Array = NDArray[np.float64]
 QUICK = settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,0 +1,65 @@
+"""MATLAB files: sound ones come in to the bit, damaged ones are refused, whatever they do to a reader."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from rig.errors import BadInput
+from rig.foreign import matlab_files
+from rig.foreign.matlab_files import arrays
+
+RANDOM = np.random.default_rng(6)
+WHOLE: dict[str, Any] = {
+    "t": np.arange(40.0) / 100.0, "imu": {"gyro": RANDOM.normal(size=(3, 40)), "counts": np.arange(40, dtype=np.int16)},
+    "note": "by hand",
+}  # fmt: skip
+
+
+def written(compressed: bool) -> bytes:
+    file = io.BytesIO()
+    savemat(file, WHOLE, do_compression=compressed)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_arrays_and_fields_come_in_to_the_bit(compressed: bool) -> None:
+    found = dict(arrays(written(compressed)))
+    assert sorted(found) == ["imu.counts", "imu.gyro", "t"]
+    assert found["t"].reshape(-1).tobytes() == WHOLE["t"].tobytes()
+    assert found["imu.gyro"].tobytes() == WHOLE["imu"]["gyro"].tobytes()
+    assert found["imu.counts"].dtype == np.int16
+
+
+@pytest.mark.parametrize("place", [136, 140, 144, 152, 160, 164, 168, 200, 480, 488, 496, 520])
+def test_a_damaged_file_is_refused_or_read_and_never_ends_the_program(place: int) -> None:
+    raw = bytearray(written(compressed=False))
+    raw[place : place + 4] = bytes([255, 255, 255, 127])
+    try:
+        said = [array.dtype.kind for _, array in arrays(bytes(raw))]
+    except BadInput as error:
+        said = [str(error)]
+    assert all(one in "biuf" or "MAT file" in one for one in said)
+
+
+def test_a_reader_that_dies_by_a_signal_is_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab_files, "__name__", "rig.foreign.there_is_none")
+    with pytest.raises(BadInput, match="its reader stopped"):
+        list(arrays(written(compressed=True)))
+
+
+@pytest.mark.parametrize("cut", [0, 3, 130, 300])
+def test_a_file_that_is_cut_is_refused(cut: int) -> None:
+    with pytest.raises(BadInput, match="MAT file"):
+        list(arrays(written(compressed=True)[:cut]))
+
+
+def test_version_7_3_is_named() -> None:
+    raw = b"MATLAB 7.3 MAT-file".ljust(124) + (b"\0\2IM" if sys.byteorder == "little" else b"\2\0MI") + bytes(512)
+    with pytest.raises(BadInput, match="HDF5"):
+        list(arrays(raw))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rig.calibrate.accelerometers import ChannelFit
 from rig.calibrate.calibration import Check
 from rig.calibrate.fitted import Estimate, Experiment
-from rig.calibrate.gyros import GyroFit
+from rig.calibrate.gyros import PlatterFit
 from rig.model import Channels
 from rig.motion import Array, Complexes
 
@@ -54,19 +54,32 @@ Direct = Callable[[Sequence[Drawn]], Array]
 """Change of a direct estimate by draws of noise, (draws,)."""
 
 
-def check(
-    experiment: Experiment, channel: str, estimate: Estimate, value: float, u: float, direct: Direct, method: str
-) -> Check:
-    """The direct value (`u` from its noise) beside the fitted one."""
+@dataclass(frozen=True)
+class DirectEstimate:
+    """What a direct estimator says of one result, `u` from noise alone, and what it makes of noise; `u_alone` is from
+    what moves it and no fitted value.
+    """
+
+    key: str
+    experiment: str
+    value: float
+    u: float
+    change: Direct
+    u_alone: float = 0.0
+
+
+def check(experiment: Experiment, channel: str, estimate: Estimate, direct: DirectEstimate, method: str) -> Check:
+    """The direct value beside the fitted one."""
     random = np.random.default_rng(SEED)
     drawn = []
     for number, one in enumerate(experiment.fit.parts):
         if channel in one.channels.names:
             part, row = cast(Replayed, one), one.channels.names.index(channel)
             drawn.append(Drawn(number, part, row, part.noise_like(row, random, DRAWS)))
-    apart = _fitted(experiment, estimate, drawn) - direct(drawn)
-    u_delta = math.hypot(float(np.sqrt(np.mean(apart**2))), SLACK * max(u, estimate.u_noise))
-    return Check(method, value, u, estimate.value - value, u_delta)
+    apart = _fitted(experiment, estimate, drawn) - direct.change(drawn)
+    scatter = float(np.sqrt(np.mean(apart**2)))
+    u_delta = math.hypot(scatter, SLACK * max(direct.u, estimate.u_noise), direct.u_alone)
+    return Check(method, direct.value, direct.u, estimate.value - direct.value, u_delta)
 
 
 def _fitted(experiment: Experiment, estimate: Estimate, drawn: Sequence[Drawn]) -> Array:
@@ -110,7 +123,27 @@ def of_means(begin: Array, end: Array, weights: Array) -> Direct:
     return changed
 
 
-def gls_weights(fit: GyroFit) -> Array:
+def of_poses(begin: Array, end: Array, weights: Array) -> Direct:
+    """What a weighted sum of means of x, y and z in poses between instants (bench clock, s), weights (n, 3), makes of
+    noise in the means of a tumble's part, some of which are pieces of a pose.
+    """
+
+    def changed(drawn: Sequence[Drawn]) -> Array:
+        total = np.zeros(DRAWS)
+        for one in drawn:
+            first, last = one.part.spans()
+            at, length = 0.5 * (first + last), last - first
+            for b, e, weight in zip(begin, end, weights, strict=True):
+                inside = (at >= b) & (at < e)
+                if inside.any():
+                    mean = one.noise[:, :, inside] @ length[inside] / float(length[inside].sum())
+                    total += mean @ weight
+        return total
+
+    return changed
+
+
+def gls_weights(fit: PlatterFit) -> Array:
     """∂(parameters)/∂(block means) of a direct fit, (parameters, blocks)."""
     scaled = np.linalg.solve(fit.blocks.covariance, fit.design)
     return np.asarray(np.linalg.solve(fit.design.T @ scaled, scaled.T))

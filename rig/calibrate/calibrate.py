@@ -9,15 +9,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from rig.archive.records import Recorded
-from rig.calibrate import imported, paper_method, resting, tumbling
+from rig.calibrate import imported, paper_method, resting, tumble_runs
 from rig.calibrate.analyzer_route import SecondRoute, second_route
 from rig.calibrate.basis import Basis, basis_of
 from rig.calibrate.calibration import Calibration, PaperRow, Result, Source
-from rig.calibrate.cube_route import Recorder, at_rest, recorder_of, said
+from rig.calibrate.cube_route import Recorder, recorder_of, said
 from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
 from rig.calibrate.input_noise import noise_results, scales_of
@@ -58,7 +57,7 @@ def calibrate(
     turned = TurntableRuns(basis)
     assumed = assumed if basis.recorder == "converter" else None
     results, unfitted = _on_model(runs, shaken, turned, assumed)
-    results += [*_noise(basis, results, shaken, turned), *_tumble_results(basis)]
+    results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
     results = list(said(results, basis.recorder))
     _refuse_nothing(runs, results)
     second = second_route(basis.runs, sensor, shaken.setup())
@@ -171,12 +170,6 @@ def _sources(runs: Sequence[Recorded], digests: Mapping[str, str] | None) -> tup
         )
         for records in runs
     )  # fmt: skip
-
-
-def _tumble_results(basis: Basis) -> Iterator[Result]:
-    for records in basis.runs:
-        read = partial(at_rest, recorder=basis.recorder)
-        yield from tumbling.results(records, basis.sensor, basis.noise, basis.alignment.mount, read)
 
 
 def _ordered(results: Iterable[Result], sensor: Sensor) -> list[Result]:

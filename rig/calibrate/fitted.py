@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,11 +21,13 @@ import numpy as np
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import NEGLIGIBLE, Fit, begin, fit, fitted, prior_of
-from rig.model import Term
+from rig.model import Shares, Term
 from rig.motion import Array
+from rig.parts.part import Part
 from rig.parts.remainder import Indices
 
 KNOWN = 0.25  # relative: a sensitivity that noise leaves less certain is not determined
+NEARBY = 1e-6  # of an angle or a share, over which a derivative is taken
 WHOLE = 1.0 - 1e-6  # share of a parameter that the data must see
 
 
@@ -144,8 +146,41 @@ class Experiment:
         part = self.fit.parts[number]
         return np.asarray(self.fit.layout.own(part, number)[part.channels.names.index(channel)])
 
+    def own_axis(self, channel: str) -> Estimate | None:
+        """V per SI unit of what acts along the channel's own axis, where the model says how the axes of a triad stand.
+
+        The model's sensitivity is of one part of that: its axes are not unit vectors.
+        """
+        found, number = self._parameter(channel, 0), self._number(channel)
+        if found is None or number is None:
+            return None
+        value, direction = found
+        part = self.fit.parts[number]
+        axis = int(part.channels.axis[part.channels.names.index(channel)])
+        terms = self.fit.state.terms
+        size = _length(terms, axis)
+        for n, (first, term) in enumerate(zip(self.fit.layout.terms, terms, strict=True)):
+            for k, name in enumerate(fitted(term) if _mixes(term) else ()):
+                moved = [term.moved(**{name: term.at[name] + sign * NEARBY}) for sign in (1.0, -1.0)]
+                longer, shorter = (_length([*terms[:n], one, *terms[n + 1 :]], axis) for one in moved)
+                direction[first + k] = value * (longer - shorter) / (2.0 * NEARBY)
+        direction[self._own(number, channel)[0]] *= size
+        return self._known(self._along(value * size, direction))
+
+    def _number(self, channel: str) -> int | None:
+        """The first part that has it."""
+        return next((n for n, p in enumerate(self.fit.parts) if channel in p.channels.names), None)
+
     def _scaled(self, channel: str, which: int) -> Estimate | None:
-        number = next((n for n, p in enumerate(self.fit.parts) if channel in p.channels.names), None)
+        found = self._parameter(channel, which)
+        return None if found is None else self._known(self._along(*found))
+
+    def _known(self, found: Estimate) -> Estimate | None:
+        return found if 0.0 < found.u_noise < KNOWN * abs(found.value) else None
+
+    def _parameter(self, channel: str, which: int) -> tuple[float, Array] | None:
+        """Sensitivity or corner (`which` 0 or 1), and its derivatives by all parameters; None if nothing tells it."""
+        number = self._number(channel)
         if number is None:
             return None
         part, row = self.fit.parts[number], int(self._own(number, channel)[which])
@@ -156,8 +191,7 @@ class Experiment:
             return None
         direction = np.zeros(self.fit.layout.size)
         direction[row] = slope
-        found = self._along(value, direction)
-        return found if 0.0 < found.u_noise < KNOWN * abs(value) else None
+        return value, direction
 
     def _along(self, value: float, direction: Array) -> Estimate:
         """A combination of the parameters."""
@@ -200,3 +234,27 @@ def experiments(evidence: Evidence, assumed: Assumed) -> dict[str, Experiment]:
         start = begin(parts, terms, poles=assumed.poles, shared=assumed.shared, free=True)
         found[name] = Experiment(name, fit(parts, start))
     return found
+
+
+def alone(part: Part, assumed: Assumed) -> tuple[Experiment, Assumed]:
+    """The model fitted to one part alone, with what no data sheet states of it; and the model with that."""
+    known = {term.effect.name for term in assumed.terms}
+    assumed = replace(assumed, terms=(*assumed.terms, *(t for t in part.unstated() if t.effect.name not in known)))
+    terms = [term for term in assumed.terms if part.acts(term.effect)]
+    start = begin((part,), terms, poles=assumed.poles, shared=assumed.shared, free=True)
+    return Experiment(part.experiment, fit((part,), start)), assumed
+
+
+def _mixes(term: Term) -> bool:
+    """Whether it gives accelerometers shares of other axes."""
+    return term.on == "acceleration" and isinstance(term.effect.inverse(term.at), Shares)
+
+
+def _length(terms: Sequence[Term], axis: int) -> float:
+    """How much more a channel shows of what acts along its own axis than of its part along the case's."""
+    row = np.eye(3)
+    for term in terms:
+        shares = term.effect.inverse(term.at)
+        if term.on == "acceleration" and isinstance(shares, Shares):
+            row = (np.eye(3) + shares.own) @ row
+    return float(np.linalg.norm(row[axis]))

@@ -136,8 +136,10 @@ def _offsets(found: Rows) -> tuple[list[Array], list[str]]:
 
 
 @dataclass(frozen=True)
-class GyroFit:
-    """Sensitivity (V/(rad/s)) and zero outputs (V, one per run) of a gyro on the platter's axis."""
+class PlatterFit:
+    """Sensitivity (V/SI) and zero outputs (V, one per run) of a gyro on the platter's axis, or of an accelerometer that
+    feels ω²r.
+    """
 
     channel: str
     solution: Solution
@@ -173,7 +175,7 @@ def dof_of(noise: Resting) -> float:
     return max(2.0 / relative**2, 1.0) if relative else math.inf
 
 
-def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup: Setup) -> GyroFit:
+def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup: Setup) -> PlatterFit:
     """Generalised least squares over rest and whole revolutions. Raises BadInput without either."""
     found = rows(rotations, channel, noise, setup, ("rest", "hold"), 0)
     if not np.any(found.rate == 0.0) or not np.any(found.rate != 0.0):
@@ -183,10 +185,10 @@ def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup:
     first = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
     covariance = found.covariance + float(first.parameters[-1]) ** 2 * found.timing
     solution = gls(design, found.volts, covariance, [*names, "sensitivity"])
-    return GyroFit(channel, solution, noise, replace(found, covariance=covariance), design)
+    return PlatterFit(channel, solution, noise, replace(found, covariance=covariance), design)
 
 
-def sensitivity_result(fit: GyroFit, setup: Setup) -> Result:
+def sensitivity_result(fit: PlatterFit, setup: Setup) -> Result:
     """Sensitivity with its budget."""
     s = fit.sensitivity
     u_noise = float(fit.solution.u[-1]) * fit.misfit.factor
@@ -217,7 +219,7 @@ def sensitivity_result(fit: GyroFit, setup: Setup) -> Result:
     )
 
 
-def offset_result(fit: GyroFit) -> Result:
+def offset_result(fit: PlatterFit) -> Result:
     """Zero output at rest, mean over the runs."""
     zeros = fit.solution.parameters[:-1]
     covariance = fit.solution.covariance[:-1, :-1]
@@ -230,7 +232,7 @@ def offset_result(fit: GyroFit) -> Result:
     )  # fmt: skip
 
 
-def linearity_results(rotations: Sequence[Rotation], fit: GyroFit, setup: Setup) -> tuple[Result, ...]:
+def linearity_results(rotations: Sequence[Rotation], fit: PlatterFit, setup: Setup) -> tuple[Result, ...]:
     """Quadratic, cubic, asymmetry and lag from the continuum of rates; what the runs cannot tell is said."""
     channel = fit.channel
     found = rows(rotations, channel, fit.noise, setup, ("rest", "hold", "moving"), 0)
@@ -264,7 +266,7 @@ _CONTINUUM = "rates between rest and the hold are missing: a run with spin-up, c
 _ONE_SENSE = "one sense only: asymmetry and sensitivity are one; the cube upside down has the other (--all)"
 
 
-def _term(fit: GyroFit, solution: Solution, before: int, terms: list[str], name: str, top: float) -> Result:
+def _term(fit: PlatterFit, solution: Solution, before: int, terms: list[str], name: str, top: float) -> Result:
     place = before + terms.index(name)
     power = {"quadratic": 1, "cubic": 2}.get(name, 0)
     scale = top**power / fit.sensitivity
@@ -297,28 +299,32 @@ def coupling_result(
     )  # fmt: skip
 
 
-def centripetal_result(
+def fit_centripetal(
     rotations: Sequence[Rotation], channel: str, cube_axis: int, noise: Resting, setup: Setup
-) -> Result | None:
-    """Sensitivity of an accelerometer from ω²r at a declared radius; None if the axis feels no radial acceleration."""
+) -> tuple[PlatterFit, float] | None:
+    """An accelerometer against ω²r at a declared radius (m); None if the axis feels no radial acceleration."""
     radial = [r for r in rotations if _is_radial(r, cube_axis)]
     if not radial:
         return None
-    kinds = ("rest", "hold")
-    found = rows(radial, channel, noise, setup, kinds, cube_axis)
+    found = rows(radial, channel, noise, setup, ("rest", "hold"), cube_axis)
     columns, names = _offsets(found)
-    solution = gls(np.column_stack([*columns, found.force]), found.volts, found.covariance, [*names, "sensitivity"])
-    s, radius = float(solution.parameters[-1]), radial[0].blocks[0].mount.radius
-    unit, odd = "V/(m/s²)", _misfit(solution, "block means miss a straight line")
-    u = float(solution.u[-1]) * odd.factor
+    design = np.column_stack([*columns, found.force])
+    solution = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
+    return PlatterFit(channel, solution, noise, found, design), radial[0].blocks[0].mount.radius
+
+
+def centripetal_result(fit: PlatterFit, radius: float, setup: Setup) -> Result:
+    """Sensitivity of an accelerometer from ω²r at this radius, m, with its budget."""
+    s, unit, odd = fit.sensitivity, "V/(m/s²)", fit.misfit
+    u = float(fit.solution.u[-1]) * odd.factor
     lines = (
-        Contribution("noise and wandering", "A", "normal", u, unit, 1.0, dof_of(noise)),
+        Contribution("noise and wandering", "A", "normal", u, unit, 1.0, fit.noise_dof),
         Contribution("radius", "B", "rectangular", half_width(setup.radius, "rectangular"), "m", s / radius,
                      source=f"declared limit {setup.radius * 1e3:.3g} mm"),
         Contribution("time base", "B", "normal", 2.0 * setup.time_base.u, "1", s, source=setup.time_base.source),
     )  # fmt: skip
     return Result(
-        channel, "sensitivity_centripetal", "sensitivity from ω²r on the turntable", s, unit, Budget(lines),
+        fit.channel, "sensitivity_centripetal", "sensitivity from ω²r on the turntable", s, unit, Budget(lines),
         method=f"centripetal acceleration at {radius * 1e3:g} mm, generalised least squares", reference="encoder",
         status=odd.status,
         remarks=("the radius of the cube's centre: offsets of the sensing element are not known", *odd.remarks),

@@ -6,37 +6,31 @@ noise's share and what each prior contributes become those of the fit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rig.calibrate import agreement
+from rig.calibrate.agreement import DirectEstimate
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Result
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, Pull
 from rig.fit import adequacy
 from rig.fit.parameters import covariance_of, estimates
 
-NOISE = ("noise of the records", "noise and wandering")  # the direct estimators' lines for noise
+NOISE = ("noise of the records", "noise and wandering", "noise, wandering and poses")  # the direct estimators' lines
+GRAVITY = "local gravity"
+SEEN = ("wandering common to all poses",)  # lines for what the fit has among its noise
 LINES: Mapping[str, str] = {
     "vibrometer_gain": "vibrometer gain", "ldv_delay": "decoder delay", "filter_cutoff": "low-pass cut-off",
     "output_filter": "output filter",
 }  # fmt: skip
 """Lines of the direct estimators' budgets for what the fit has as priors."""
 NEGLIGIBLE = 1e-3  # of u: a prior with a smaller share has no line of its own
+RELATIVE = ("1", "m")  # units of inputs whose coefficient goes with the value: relative ones, and a radius
 LEVEL = 0.1  # of gravity along an axis that lies level
-
-
-@dataclass(frozen=True)
-class DirectEstimate:
-    """What a direct estimator says of one result, `u` from noise alone, and what it makes of noise."""
-
-    key: str
-    experiment: str
-    value: float
-    u: float
-    change: agreement.Direct
 
 
 def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment], assumed: Assumed) -> Result:
@@ -45,9 +39,9 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
     estimate = None if experiment is None else _estimate(experiment, result)
     if experiment is None or estimate is None or result.budget is None:
         return result
-    factor = max([1.0, *(one.ratio for one in missed(experiment) if one.channel == result.channel)])
+    factor = max([1.0, *(one.ratio for one in missed(experiment) if _concerns(experiment, one, result.channel))])
     lines = tuple(_lines(result, estimate, factor))
-    check = agreement.check(experiment, result.channel, estimate, direct.value, direct.u, direct.change, result.method)
+    check = agreement.check(experiment, result.channel, estimate, direct, result.method)
     said = [] if experiment.worst is None else [inadequate(experiment, factor)]
     if not check.agrees:
         said.append(
@@ -64,8 +58,10 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
 
 def _estimate(experiment: Experiment, result: Result) -> Estimate | None:
     match result.measurand:
-        case "sensitivity":
+        case "sensitivity" | "sensitivity_centripetal":
             return experiment.sensitivity(result.channel)
+        case "sensitivity_gravity":
+            return experiment.own_axis(result.channel)
         case "bandwidth":
             return experiment.bandwidth(result.channel)
         case "offset":
@@ -75,18 +71,25 @@ def _estimate(experiment: Experiment, result: Result) -> Estimate | None:
 
 
 def _level(experiment: Experiment, channel: str) -> Iterator[int]:
-    """Parts in which gravity does not lie along a channel; all of them for a gyro."""
+    """Parts in which gravity does not lie along a channel, or both ways; all of them for a gyro."""
     for number, part in enumerate(experiment.fit.parts):
         if channel in part.channels.names:
             row = part.channels.names.index(channel)
             along = part.reference.up[part.channels.axis[row]]
-            if part.channels.rates[row] or float(np.abs(along).max()) < LEVEL:
+            both = float(along.min()) < -LEVEL and float(along.max()) > LEVEL
+            if part.channels.rates[row] or both or float(np.abs(along).max()) < LEVEL:
                 yield number
 
 
 def missed(experiment: Experiment) -> list[adequacy.Group]:
     """Groups of rows that the model misses."""
     return [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT and one.count > 1]
+
+
+def _concerns(experiment: Experiment, missed: adequacy.Group, channel: str) -> bool:
+    """Whether a group of rows is of a channel, or of several of which it is one."""
+    single = {name for part in experiment.fit.parts for name in part.channels.names}
+    return missed.channel == channel or missed.channel not in single
 
 
 def inadequate(experiment: Experiment, factor: float) -> str:
@@ -104,19 +107,30 @@ def _lines(result: Result, estimate: Estimate, factor: float) -> Iterator[Contri
     """The budget of the direct estimate with the fit's shares."""
     assert result.budget is not None
     assert result.value is not None
-    pulls = {LINES.get(one.name, one.name): one for one in estimate.pulls}
+    pulls = {_line_of(one): one for one in estimate.pulls}
     scale = estimate.value / result.value
     for line in result.budget.contributions:
         if line.name in NOISE:
-            yield replace(line, u=estimate.u_noise * factor, unit=result.unit, sensitivity=1.0)
+            name = line.name.replace(", wandering and poses", " and wandering")  # however the cube stood
+            yield replace(line, name=name, u=estimate.u_noise * factor, unit=result.unit, sensitivity=1.0)
+        elif line.name in SEEN:
+            continue
+        elif line.name == GRAVITY:
+            pull = pulls.pop(GRAVITY, Pull(GRAVITY, 1.0, 0.0))  # of one standard uncertainty
+            yield replace(line, sensitivity=math.copysign(pull.coefficient / line.u, line.sensitivity))
         elif line.name in LINES.values():
             pull = pulls.pop(line.name, Pull(line.name, line.u, 0.0))
             yield replace(line, u=pull.u, sensitivity=pull.coefficient)
         else:
-            yield replace(line, sensitivity=line.sensitivity * (scale if line.unit == "1" else 1.0))
+            yield replace(line, sensitivity=line.sensitivity * (scale if line.unit in RELATIVE else 1.0))
     for name, pull in pulls.items():
         if abs(pull.coefficient * pull.u) > NEGLIGIBLE * estimate.u:
             yield Contribution(name.replace("_", " "), "B", "normal", pull.u, "1", pull.coefficient, source="stated")
+
+
+def _line_of(pull: Pull) -> str:
+    """What the direct estimators call it."""
+    return GRAVITY if pull.name.startswith(f"{GRAVITY} of ") else LINES.get(pull.name, pull.name)
 
 
 def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Result]:

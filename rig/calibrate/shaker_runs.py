@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from rig.archive.records import Recorded, mounts
 from rig.calibrate import accelerometers, agreement, gyros
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
+from rig.calibrate.agreement import DirectEstimate
 from rig.calibrate.basis import Basis
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import ResponsePoint, Result, not_determined
 from rig.calibrate.cube_route import Recorder, at_rest
 from rig.calibrate.input_noise import Scale
-from rig.calibrate.joined import DirectEstimate
 from rig.errors import BadInput
 from rig.parts.reading.cube_frames import points_by_cube
 from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis

@@ -75,6 +75,7 @@ class Directions:
     """Matrix (c, 3) V/(m/s²) from the frame of the poses, offsets (c,) V, of c channels: three are a triad.
 
     `covariance` (4c, 4c) has each channel's row of the matrix followed by its offset, and gravity's common share.
+    `by_readings` (c, 4, n, c) are the derivatives of these parameters by the readings.
     """
 
     matrix: Floats
@@ -82,6 +83,13 @@ class Directions:
     covariance: Floats
     chi2: float
     dof: int
+    by_readings: Floats
+
+    @property
+    def own_axes(self) -> Floats:
+        """Derivatives of the sensitivities along the channels' own axes by the readings, (c, n, c)."""
+        units = self.matrix / np.linalg.norm(self.matrix, axis=1)[:, None]
+        return np.asarray(np.einsum("kj,kjnc->knc", units, self.by_readings[:, :3]))
 
     @property
     def sizes(self) -> tuple[Floats, Floats]:
@@ -130,7 +138,7 @@ def fit_magnitude(volts: ArrayLike, gravity: float, u_gravity: float, u_volts: A
         parameters = parameters + step.parameters
         _check_triad(parameters)
         if np.max(np.abs(step.parameters) / step.u) < 1e-7:
-            _check_spread(_directions(volts, parameters))
+            check_spread(_directions(volts, parameters))
             covariance = step.covariance + _common(np.r_[parameters[:3], np.zeros(6)], u_gravity / gravity)
             return Triad(parameters[:3], parameters[3:6], parameters[6:], covariance, step.chi2, step.dof)
         multiplier = (left - by_parameter @ step.parameters) / variance
@@ -169,7 +177,9 @@ def fit_directions(
         if u_up == 0 or np.max(moved) < 1e-7:
             scaled = np.column_stack([matrix, np.zeros(count)]).ravel()
             covariance = solution.covariance + _common(scaled, u_gravity / gravity)
-            return Directions(matrix, block[:, 3], covariance, solution.chi2, solution.dof)
+            weights = (solution.covariance @ flat[:, :-1].T).reshape(count, 4, len(up), count)
+            weights = np.einsum("kpni,nij->kpnj", weights, np.linalg.inv(factor))
+            return Directions(matrix, block[:, 3], covariance, solution.chi2, solution.dof, weights)
     raise BadInput("tumble: found no triad that fits, wanted readings at rest in the stated poses")
 
 
@@ -204,7 +214,7 @@ def _ellipsoid(volts: Floats, gravity: float) -> Floats:
     if not np.all(half > 0):
         raise BadInput(f"tumble: found no change of {_axes_of(half <= 0)}, wanted poses with each axis up and down")
     a = (volts - middle) / half
-    _check_spread(a / np.linalg.norm(a, axis=1)[:, None])
+    check_spread(a / np.linalg.norm(a, axis=1)[:, None])
     products = np.column_stack([2 * a[:, i] * a[:, j] for i, j in PAIRS])
     quadric = gls(np.column_stack([a**2, products, 2 * a]), np.ones(len(a)), np.ones(len(a)), NAMES).parameters
     shape = np.diag(quadric[:3])
@@ -226,7 +236,7 @@ def _directions(volts: Floats, parameters: Floats) -> Floats:
     return np.asarray(force / np.linalg.norm(force, axis=1)[:, None], float)
 
 
-def _check_spread(up: Floats) -> None:
+def check_spread(up: Floats) -> None:
     """Refuse poses that leave one of the nine parameters, each in units of gravity, undetermined."""
     design = np.column_stack([up**2, up, *(up[:, i] * up[:, j] for i, j in PAIRS)]) / math.sqrt(len(up))
     weak = _weak(design)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
 from rig.errors import BadInput
-from rig.sensor import Sensor, Triad
+from rig.sensor import Triad
 
 Array = NDArray[np.float64]
 Read = Callable[[Recorded, Mapping[str, Any]], Signals | None]
@@ -24,37 +24,12 @@ ANGLES = ("xy", "xz", "yz")
 SENSITIVITY = "V/(m/s²)"
 
 
-def results(
-    records: Recorded, sensor: Sensor, noise: Mapping[str, Resting], tilt: float, read: Read
-) -> Iterator[Result]:
-    """Results of every unit; nothing for a run without poses. `tilt` is the declared limit of a pose's angle, rad.
-
-    `read` gives what the recorder that calibrates kept of a pose, None if nothing.
-
-    The angles between axes need a whole triad; fewer axes have sensitivity and zero output alone.
-    """
-    found = poses_of(records)
-    if not found:
-        return
-    gravity = reference(records, "gravity", "gravity")
-    kept = [(up, body, one) for up, body in found if (one := read(records, body)) is not None]
-    if not kept:
-        return
-    up, bodies, records_of = zip(*kept, strict=True)
-    poses = _Poses(records, np.array(up), tuple(map(_timed, bodies, records_of)), records_of, gravity, noise, tilt)
-    for unit in sensor.of_quantity("acceleration"):
-        if all(name in noise and all(name in one.names for one in poses.signals) for name in unit.names):
-            yield from _of_unit(poses, unit)
-
-
-def _timed(body: Mapping[str, Any], found: Signals) -> Mapping[str, Any]:
-    """A pose's line with when its record began, where only the recorder knows."""
-    return body if "start" in body else {**body, "start": found.start}
-
-
 @dataclass(frozen=True)
-class _Poses:
-    """A tumble: what was up in each pose (n, 3), the journal's bodies, and the records."""
+class Poses:
+    """A tumble: what was up in each pose (n, 3), the journal's bodies, and the records.
+
+    `tilt` is the declared limit of a pose's angle, rad.
+    """
 
     records: Recorded
     up: Array
@@ -64,35 +39,90 @@ class _Poses:
     noise: Mapping[str, Resting]
     tilt: float
 
+    @property
+    def u_up(self) -> float:
+        """Standard uncertainty of a pose about any axis, rad."""
+        return self.tilt / math.sqrt(3.0)
 
-def _of_unit(poses: _Poses, unit: Triad) -> Iterator[Result]:
+    @property
+    def begin(self) -> Array:
+        """Bench clock, s, (n,)."""
+        return np.array([float(body["start"]) for body in self.bodies])
+
+    @property
+    def end(self) -> Array:
+        """Bench clock, s, (n,)."""
+        return np.asarray(self.begin + np.array([float(body["seconds"]) for body in self.bodies]))
+
+    def has(self, unit: Triad) -> bool:
+        """Whether all of a unit was recorded, and its noise is known."""
+        return all(name in self.noise and all(name in one.names for one in self.signals) for name in unit.names)
+
+
+def poses_in(records: Recorded, noise: Mapping[str, Resting], tilt: float, read: Read) -> Poses | None:
+    """The poses of a run; None if there are none. `read` gives what the recorder that calibrates kept of a pose."""
+    found = poses_of(records)
+    kept = [(up, body, one) for up, body in found if (one := read(records, body)) is not None]
+    if not kept:
+        return None
+    up, bodies, signals = zip(*kept, strict=True)
+    gravity = reference(records, "gravity", "gravity")
+    return Poses(records, np.array(up), tuple(map(_timed, bodies, signals)), signals, gravity, noise, tilt)
+
+
+def _timed(body: Mapping[str, Any], found: Signals) -> Mapping[str, Any]:
+    """A pose's line with when its record began, where only the recorder knows."""
+    return body if "start" in body else {**body, "start": found.start}
+
+
+@dataclass(frozen=True)
+class UnitFit:
+    """One unit in all poses: means (n, c) V with their uncertainty (c,), and its channels fitted to what was up."""
+
+    poses: Poses
+    unit: Triad
+    volts: Array
+    u: Array
+    directions: triad.Directions
+
+    def u_of_tilt(self, weights: Array) -> float:
+        """What poses that stood askew do to an estimate with these derivatives by the means, (n, c).
+
+        A turn δ of the case moves the means by matrix·(δ × g·up).
+        """
+        pulled = self.poses.gravity.value * weights @ self.directions.matrix
+        return self.poses.u_up * float(np.linalg.norm(np.cross(self.poses.up, pulled)))
+
+    def results(self) -> Iterator[Result]:
+        """Of every channel; the angles between axes need a whole triad."""
+        for place, name in enumerate(self.unit.names):
+            yield from _of_axis(self.poses, name, self.directions, place)
+        if self.unit.is_whole:
+            yield from _angles(self.unit, self.volts, self.u, self.poses.gravity)
+
+
+def fit_unit(poses: Poses, unit: Triad) -> UnitFit:
+    """A unit against gravity. Raises BadInput for a channel that clipped, or poses that do not determine it."""
     clipped = [name for name in unit.names if any(name in one.clipped for one in poses.signals)]
     if clipped:
-        yield from _without(unit, f"{poses.records.name}: {', '.join(clipped)} clipped in a pose")
-        return
+        raise BadInput(f"{poses.records.name}: {', '.join(clipped)} clipped in a pose")
     volts = np.array([[float(one.of(name).mean()) for name in unit.names] for one in poses.signals])
     u = np.array([
-        max(_u_mean(poses.noise[name], poses.bodies), _scatter(column, poses.up))
+        max(_u_mean(poses.noise[name], poses), _scatter(column, poses.up))
         for name, column in zip(unit.names, volts.T, strict=True)
     ])  # fmt: skip
     gravity = poses.gravity
-    try:
-        fit = triad.fit_directions(volts, poses.up, gravity.value, gravity.u, u, poses.tilt / math.sqrt(3.0))
-    except BadInput as error:
-        yield from _without(unit, str(error))
-        return
-    for place, name in enumerate(unit.names):
-        yield from _of_axis(poses, name, fit, place)
-    if unit.is_whole:
-        yield from _angles(unit, volts, u, gravity)
+    found = triad.fit_directions(volts, poses.up, gravity.value, gravity.u, u, poses.u_up)
+    return UnitFit(poses, unit, volts, u, found)
 
 
-def _without(unit: Triad, why: str) -> Iterator[Result]:
+def without(unit: Triad, why: str) -> Iterator[Result]:
+    """Why a unit has no sensitivities."""
     for name in unit.names:
         yield not_determined(name, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
 
 
-def _of_axis(poses: _Poses, channel: str, fit: triad.Directions, place: int) -> Iterator[Result]:
+def _of_axis(poses: Poses, channel: str, fit: triad.Directions, place: int) -> Iterator[Result]:
     gravity, dof = poses.gravity, float(max(fit.dof, 1))
     common = (f"{len(poses.bodies)} poses, twelve parameters", f"local gravity, {gravity.source}")
     share = gravity.u / gravity.value
@@ -104,7 +134,7 @@ def _of_axis(poses: _Poses, channel: str, fit: triad.Directions, place: int) -> 
         Contribution("local gravity", "B", "normal", share, "1", s, source=gravity.source),
     )  # fmt: skip
     yield Result(channel, "sensitivity_gravity", "sensitivity from gravity", s, SENSITIVITY, Budget(lines), *common)
-    wandering = _u_common(poses.noise[channel], poses.bodies)
+    wandering = _u_common(poses.noise[channel], poses)
     offset = (
         Contribution("noise, wandering and poses", "A", "normal", float(fit.u_offsets[place]), "V", 1.0, dof),
         Contribution("wandering common to all poses", "A", "normal", wandering, "V", 1.0),
@@ -129,22 +159,17 @@ def _angles(unit: Triad, volts: Array, u: Array, gravity: Reference) -> Iterator
         yield Result(unit.name, f"angle_{name}", titles[name], departure, "rad", Budget((line,)), *method)
 
 
-def _u_mean(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:
+def _u_mean(noise: Resting, poses: Poses) -> float:
     """Standard deviation of the pose means about their common mean: noise of a record and wandering between records."""
-    covariance, count = _covariance(noise, bodies), len(bodies)
+    covariance, count = noise.slow.covariance(poses.begin, poses.end), len(poses.bodies)
     free = np.eye(count) - 1.0 / count
     return math.sqrt(float(np.trace(free @ covariance @ free)) / max(count - 1, 1))
 
 
-def _u_common(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> float:
+def _u_common(noise: Resting, poses: Poses) -> float:
     """Standard uncertainty of the mean of all poses beyond what their scatter shows: no pose differs by it."""
-    covariance, count = _covariance(noise, bodies), len(bodies)
-    return math.sqrt(max(float(covariance.mean()) - _u_mean(noise, bodies) ** 2 / count, 0.0))
-
-
-def _covariance(noise: Resting, bodies: Sequence[Mapping[str, Any]]) -> Array:
-    begin = np.array([float(body["start"]) for body in bodies])
-    return noise.slow.covariance(begin, begin + np.array([float(body["seconds"]) for body in bodies]))
+    covariance, count = noise.slow.covariance(poses.begin, poses.end), len(poses.bodies)
+    return math.sqrt(max(float(covariance.mean()) - _u_mean(noise, poses) ** 2 / count, 0.0))
 
 
 def _scatter(volts: Array, up: Array) -> float:

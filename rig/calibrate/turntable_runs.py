@@ -9,11 +9,11 @@ import numpy as np
 
 from rig.archive.records import Recorded, reference, wires_of
 from rig.calibrate import agreement, gyros, resting
+from rig.calibrate.agreement import DirectEstimate
 from rig.calibrate.basis import Basis
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.cube_route import with_clock
 from rig.calibrate.input_noise import Scale, u_deviation
-from rig.calibrate.joined import DirectEstimate
 from rig.parts.reading.cube_frames import rotation_by_cube
 from rig.parts.reading.revolutions import Rotation, rotation_of
 from rig.sensor import ROTATIONS
@@ -25,7 +25,8 @@ class TurntableRuns:
     def __init__(self, basis: Basis) -> None:
         self._basis = basis
         self._rotations: dict[str, list[Rotation]] = {}
-        self._fits: dict[str, gyros.GyroFit] = {}
+        self._fits: dict[str, gyros.PlatterFit] = {}
+        self._radial: dict[str, tuple[gyros.PlatterFit, float]] = {}
         self._unusable: dict[str, str] = {}
         self._setup: gyros.Setup | None = None
         for records in basis.runs:
@@ -44,6 +45,7 @@ class TurntableRuns:
             for axis, rotations in self._rotations.items():
                 for gyro in basis.sensor.about(axis):
                     self._fit(gyro.name, rotations, self._setup)
+            self._radial.update(self._fit_radial(self._setup))
 
     def _fit(self, name: str, rotations: Sequence[Rotation], setup: gyros.Setup) -> None:
         """One gyro on the platter's axis; why it cannot be, if its records cannot be used."""
@@ -84,7 +86,8 @@ class TurntableRuns:
                 elif sensor.is_rate and name in rotations[0].blocks[0].volts:
                     own = self._fits[name].sensitivity if name in self._fits else sensor.nominal
                     yield gyros.coupling_result(rotations, name, axis, own, self._basis.noise[name], setup)
-        yield from self._centripetal(setup)
+        for fit, radius in self._radial.values():
+            yield gyros.centripetal_result(fit, radius, setup)
 
     def _gyro(self, rotations: Sequence[Rotation], name: str, setup: gyros.Setup) -> Iterator[Result]:
         fit = self._fits[name]
@@ -98,27 +101,30 @@ class TurntableRuns:
     def direct(self) -> Iterator[DirectEstimate]:
         """What the direct estimators say, to be held against the fit."""
         for name, fit in self._fits.items():
-            weights, blocks = agreement.gls_weights(fit), fit.blocks
-            mean = weights[:-1].mean(axis=0)
+            yield self._estimate(f"{name}.sensitivity", fit)
+            weights = agreement.gls_weights(fit)[:-1].mean(axis=0)
             zero = float(fit.solution.parameters[:-1].mean())
-            share = np.full(len(weights) - 1, 1.0 / (len(weights) - 1))
-            u_zero = math.sqrt(float(share @ fit.solution.covariance[:-1, :-1] @ share))
-            u = float(fit.solution.u[-1])
-            for measurand, value, u_value, row in (
-                ("sensitivity", fit.sensitivity, u, weights[-1]), ("offset", zero, u_zero, mean),
-            ):  # fmt: skip
-                change = agreement.of_means(blocks.begin, blocks.end, row)
-                yield DirectEstimate(f"{name}.{measurand}", "turntable", value, u_value, change)
+            share = np.full(len(fit.solution.u) - 1, 1.0 / (len(fit.solution.u) - 1))
+            u = math.sqrt(float(share @ fit.solution.covariance[:-1, :-1] @ share))
+            change = agreement.of_means(fit.blocks.begin, fit.blocks.end, weights)
+            yield DirectEstimate(f"{name}.offset", "turntable", zero, u, change)
+        for name, (fit, _) in self._radial.items():
+            yield self._estimate(f"{name}.sensitivity_centripetal", fit)
 
-    def _centripetal(self, setup: gyros.Setup) -> Iterator[Result]:
+    def _estimate(self, key: str, fit: gyros.PlatterFit) -> DirectEstimate:
+        change = agreement.of_means(fit.blocks.begin, fit.blocks.end, agreement.gls_weights(fit)[-1])
+        return DirectEstimate(key, "turntable", fit.sensitivity, float(fit.solution.u[-1]), change)
+
+    def _fit_radial(self, setup: gyros.Setup) -> Iterator[tuple[str, tuple[gyros.PlatterFit, float]]]:
+        """Accelerometers that feel the centripetal acceleration, with the radius, m."""
         everything = [r for several in self._rotations.values() for r in several]
         for name, noise in self._basis.noise.items():
             sensor = self._basis.sensor.channel(name)
             with_it = [r for r in everything if name in r.blocks[0].volts and not r.clipped(name)]
             if not sensor.is_rate and with_it:
-                found = gyros.centripetal_result(with_it, name, sensor.place, noise, setup)
+                found = gyros.fit_centripetal(with_it, name, sensor.place, noise, setup)
                 if found is not None:
-                    yield found
+                    yield name, found
 
     def noise_in_motion(self, own: Mapping[str, Scale]) -> Iterator[Result]:
         title = "deviation in motion: output less the fitted rate, 1/30 Hz to half the sampling rate"

@@ -157,11 +157,17 @@ class Poses(Part):
         slope = self.channels.sensitivity * self.channels.rates
         return np.asarray(slope[:, None] ** 2 * square[self.channels.axis])
 
+    @property
+    def _covariance(self) -> Array:
+        """Of the means' noise, V², (c, n, n)."""
+        if self.data.covariance is None:
+            return np.stack([np.diag(one) for one in self.data.variance])
+        return self.data.covariance
+
     @cached_property
     def _whitening(self) -> Whitening:
         """What makes rows of the table of predictions: means of one channel wander together."""
-        one_by_one = np.stack([np.diag(one) for one in self.data.variance])
-        whole = one_by_one if self.data.covariance is None else self.data.covariance
+        whole = self._covariance
         covariances = [whole[c] + np.diag(self._of_turns[c]) for c in self._gyros]
         if len(self._triad):
             slope = self._start / self.channels.sensitivity[self._triad][:, None]
@@ -218,6 +224,23 @@ class Poses(Part):
     def _volts_each(self) -> Array:
         """What a row of the table shows of one SI unit, (names,): gravity itself, volts of the gyros."""
         return np.array([*([1.0] if len(self._triad) else []), *self.channels.sensitivity[self._gyros]])
+
+    def noise_like(self, row: int, random: np.random.Generator, count: int) -> Array:
+        """Noise of the means, V, (count, 3, n), x, y and z: what is told of an accelerometer is of the whole triad."""
+        drawn = random.standard_normal((len(self._triad), count, self.width))
+        factors = np.linalg.cholesky(self._covariance[self._triad])
+        return np.asarray(np.einsum("cij,cki->kcj", factors.transpose(0, 2, 1), drawn))
+
+    def felt(self, row: int, drawn: Array, influence: Array) -> Array:
+        """What an estimate with this influence (rows,) makes of such noise, to first order, (count,)."""
+        slope = self._start / self.channels.sensitivity[self._triad][:, None]
+        per_row = influence.reshape(len(self.row_names), -1)[0] @ self._whitening.inverse[0]
+        return np.asarray(np.einsum("kcj,cj,j->k", drawn, slope, per_row))
+
+    def spans(self) -> tuple[Array, Array]:
+        """Begin and end of every mean, bench clock, s, (n,)."""
+        half = 0.5 * self.data.seconds
+        return self.data.time - half, self.data.time + half
 
     def apart(self, term: Term) -> Indices | None:
         """None: a magnitude belongs to three channels."""

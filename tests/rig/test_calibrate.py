@@ -136,6 +136,16 @@ def test_centripetal_acceleration_is_a_reference_of_its_own(made: Calibration, w
     assert abs(away(made, "unit_a_z.sensitivity_centripetal", world.truth["sensitivity"]["unit_a_z"])) < 3.5
 
 
+def test_centripetal_acceleration_stands_on_the_model_with_the_direct_value_beside(made: Calibration) -> None:
+    result = made.result("unit_a_z.sensitivity_centripetal")
+    assert result.method.startswith("model fitted to all records of the turntable")
+    assert result.check is not None
+    assert result.check.agrees
+    lines = {line.name: line for line in result.contributions}
+    assert set(lines) >= {"noise and wandering", "radius", "time base"}
+    assert lines["radius"].sensitivity == pytest.approx(float(result.value or 0.0) / 0.05, rel=1e-9)
+
+
 def test_a_missing_effect_is_flagged_and_widens_the_interval() -> None:
     hidden = fast_bench.world(11, [{"name": "first_order_lag"}])
     result = calibrate([fast_bench.measure(SWEEP, hidden)], "hidden").result("unit_a_x.sensitivity")
@@ -153,10 +163,12 @@ def test_shared_standards_tie_results_together(made: Calibration) -> None:
 def test_monte_carlo_agrees_with_the_budgets(made: Calibration) -> None:
     found = list(checking.checked(made, draws=400_000))
     assert len(found) >= 6
+    # a rectangle has shorter tails than a normal law: the radius makes most of ω²r's variance, and U is a little long
     tolerance = [max(abs(one.distribution.low - (one.result.value or 0.0) + one.result.expanded),
                      abs(one.distribution.high - (one.result.value or 0.0) - one.result.expanded)) / one.result.u
                  for one in found]  # fmt: skip
-    assert max(tolerance) < 0.1
+    wanted = [0.15 if one.result.measurand == "sensitivity_centripetal" else 0.02 for one in found]
+    assert all(found < limit for found, limit in zip(tolerance, wanted, strict=True))
 
 
 def test_the_same_records_give_the_same_calibration(sweep: fast_bench.MemoryRecords) -> None:

@@ -168,8 +168,9 @@ their noise:
 {left}
 
 That is their zero wandering from pose to pose. The nearest effect of the shelf is a warm-up, and it explains almost
-nothing of it, so none was added. How a triad sits in its case cannot be seen from magnitudes, nor can the gyros'
-sensitivity without a turn by a known angle.
+nothing of it, so none was added. How a triad sits in its case cannot be seen from magnitudes. The gyros' sensitivity is
+not fitted, because no turn by a known angle is labelled; what import says of it, from the turns between the poses, is
+that the nominal figure is a third off.
 
 {commands}"""
 

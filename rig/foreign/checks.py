@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.foreign import lines as foreign_lines
+from rig.foreign import outliers, turns
 from rig.foreign import pairs as foreign_pairs
 from rig.foreign.manifest import KINDS, Column
 from rig.foreign.pairs import Finding
@@ -51,6 +52,7 @@ def _of_table(data: Foreign, table: Table) -> Iterator[Finding]:
     if KINDS[data.manifest.kind].timed:
         yield from _of_whole_rows(data, table)
     yield from foreign_pairs.findings(data, table)
+    yield from turns.findings(data, table)
     yield from foreign_lines.findings(data, table)
 
 
@@ -171,6 +173,7 @@ def _of_values(data: Foreign, table: Table) -> Iterator[Finding]:
             yield Finding("constant", table.label, text)
             continue
         if column.quantity in SIGNALS:
+            yield from _outliers(table, column, values)
             yield from _clipped(table, column, values)
         yield from _frozen(data, table, column, values)
 
@@ -191,6 +194,24 @@ def _not_numbers(data: Foreign, table: Table) -> Iterator[Finding]:
         where = f"in {len(stretches)} stretch{'' if len(stretches) == 1 else 'es'}"
         text = f"{name}: {count}, {where}, the longest {longest} rows from row {first}"
         yield Finding("not_numbers", table.label, text)
+
+
+def _outliers(table: Table, column: Column, values: Array) -> Iterator[Finding]:
+    """Numbers that stand for nothing, and rows that stand alone."""
+    found = list(outliers.marks(values))
+    for mark in found:
+        n = len(mark.rows)
+        many = f"{n} row{' holds' if n == 1 else 's hold'} {mark.value:.6g}"
+        text = f"{column.channel}: {many}, all others lie within {mark.low:.4g} to {mark.high:.4g}: {_rows(mark.rows)}"
+        yield Finding("marks", table.label, f"{text}; if it stands for no number, `missing: {mark.value:.6g}` says so")
+    rest = values.copy()
+    for mark in found:
+        rest[mark.rows] = math.nan
+    rows = outliers.alone(rest)
+    if len(rows):
+        n = len(rows)
+        text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
+        yield Finding("alone", table.label, f"{text}: {_rows(rows)}, the first at {values[rows[0]]:.6g}")
 
 
 def _clipped(table: Table, column: Column, values: Array) -> Iterator[Finding]:

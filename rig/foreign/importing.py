@@ -22,7 +22,7 @@ from rig.foreign import readers as foreign_files
 from rig.foreign.checks import Finding, findings
 from rig.foreign.manifest import KINDS, Manifest, Reading, Source, as_json
 from rig.foreign.manifest_file import load
-from rig.foreign.tables import PROCEDURE, Array, Foreign, Table
+from rig.foreign.tables import PROCEDURE, Array, Foreign, Table, without_missing
 from rig.yaml import config
 from rig.yaml.document import Document, KeyPath
 
@@ -56,7 +56,8 @@ class Read:
 
 def foreign(made: Manifest, tables: Sequence[Table], found: Sequence[Finding] = ()) -> Foreign:
     """Imported data that are not in the archive yet."""
-    return Foreign(made.label, made, tuple(tables), tuple(one.text for one in found))
+    whole = tuple(without_missing(made, table) for table in tables)
+    return Foreign(made.label, made, whole, tuple(one.text for one in found))
 
 
 def open_manifest(path: Path, folder: Path | None = None) -> Read:

@@ -242,8 +242,9 @@ class Column(Strict):
     """One column: what it is. `name` is the channel's name (default: the column's own).
 
     `unit` of the numbers in the file; for `counts`, `sensitivity` says how many of them per SI or other unit, and
-    `zero` what stands for nothing. `tolerance` is the data sheet's for the sensitivity, relative; `bandwidth` that of
-    its output filter, if it has one. `delay` is how much later than the row's time stamp it was sampled.
+    `zero` what stands for nothing; `missing` is the number that stands for no number, such as −999. `tolerance` is the
+    data sheet's for the sensitivity, relative; `bandwidth` that of its output filter, if it has one. `delay` is how
+    much later than the row's time stamp it was sampled.
     `uncertainty` (with unit) is a standard one of each number; `gain_uncertainty` a relative standard one of a
     reference's sensitivity. `uncertainty_column` names the column with an uncertainty of each row, `coverage` its k.
     `noise` is the device's by its data sheet.
@@ -258,6 +259,7 @@ class Column(Strict):
     role: Role = "device"
     sensitivity: str | None = None
     zero: float = 0.0
+    missing: float | None = None
     tolerance: Ratio = Field(default=0.2, gt=0)
     bandwidth: Frequency | None = Field(default=None, gt=0)
     delay: Time = 0.0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -97,6 +97,18 @@ class Foreign:
         return np.full(len(table.values), value / column.coverage)
 
 
+def without_missing(made: Manifest, table: Table) -> Table:
+    """With NaN where a column holds the number that stands for none, as its manifest says."""
+    stated = {one.column: one.missing for one in made.columns if one.missing is not None}
+    if not stated:
+        return table
+    values = table.values.copy()
+    for name, number in stated.items():
+        column = values[:, table.names.index(name)]
+        column[column == number] = math.nan
+    return replace(table, values=values)
+
+
 def is_foreign(records: Recorded) -> bool:
     """Whether a run was imported."""
     return records.header.get("procedure") == PROCEDURE
@@ -106,9 +118,10 @@ def foreign_of(records: Recorded) -> Foreign:
     """The imported data of a run. Raises BadInput for a run that was not imported."""
     if not is_foreign(records):
         raise BadInput(f"{records.name}: found no imported data, wanted a run that was imported")
-    tables = tuple(_table(records, body) for _, body in sorted(records.points.items()))
+    made = from_json(records.header["imported"])
+    tables = tuple(without_missing(made, _table(records, body)) for _, body in sorted(records.points.items()))
     found = tuple(str(one["text"]) for one in _findings(records))
-    return Foreign(records.name, from_json(records.header["imported"]), tables, found)
+    return Foreign(records.name, made, tables, found)
 
 
 def _findings(records: Recorded) -> Iterator[Mapping[str, Any]]:

@@ -240,6 +240,7 @@ CHANGES: dict[tuple[str, str], Change] = {
     ("Column", "role"): ("rotation", nothing, column("gyro_x_dps", role="drive")),
     ("Column", "sensitivity"): ("rotation", COUNTS, column("acc_x_g", sensitivity="2 counts per g", unit="")),
     ("Column", "zero"): ("rotation", nothing, column("acc_x_g", zero=0.1)),
+    ("Column", "missing"): ("rotation", nothing, column("acc_x_g", missing=float(made.turning()["acc_x_g"][7]))),
     ("Column", "tolerance"): ("rotation", nothing, column("gyro_z_dps", tolerance="7 %")),
     ("Column", "bandwidth"): ("rotation", nothing, column("gyro_z_dps", bandwidth="40 Hz")),
     ("Column", "delay"): ("rotation", nothing, column("encoder_deg", delay="3 ms")),

@@ -1,0 +1,178 @@
+"""Poses whose gyros turned with them: between two poses at rest gravity turns in the case as the gyros say.
+
+With rates ω in the case, and no zeros, what points up in the case turns by −ω:  u₂ = R⁻¹·u₁,  R = Π exp([ω·Δt]×).
+An axis of the accelerometers that counts the other way makes a left-handed triad of them; u₂ then comes out as if the
+gyros of both other axes did.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.foreign.manifest import Column
+from rig.foreign.pairs import AXES, Finding, running
+from rig.foreign.tables import Array, Foreign, Table
+
+BLOCK = 0.25  # s, of which it is asked whether the case stood still
+STILL = 4.0  # times the scatter of the quietest tenth of the blocks
+QUIET = 0.1
+LONGEST = 60.0  # s between two poses
+TURNED = math.radians(20.0)  # a pair of poses that says something
+FEWEST = 3  # such pairs
+WRONG = math.radians(25.0)  # rms between gravity and what the gyros say
+FITS = 0.4  # of it, that is left where another reading of the channels explains it
+SPHERE, LARGEST_ZERO = 9, 0.3  # poses that tell the zeros of a triad, and how large those may be, of gravity
+FACTORS = (0.3, 3.0)  # of all gyros alike: a sensitivity that is not the stated one
+LIKELIER = 0.7  # a unit or a sign that leaves this share more is believed before a factor
+UNITS = (("°/s", math.pi / 180.0), ("rad/s", 180.0 / math.pi))
+
+
+@dataclass(frozen=True)
+class _Turns:
+    """What gravity did between poses: directions before and after (n, 3), and steps ω·Δt of each turn, rad (m, 3)."""
+
+    before: Array
+    after: Array
+    steps: tuple[Array, ...]
+
+    def error(self, signs: Array, factor: float) -> float:
+        """rms angle between gravity and what the gyros say, rad, once they are multiplied by signs (3,) and factor."""
+        turned = np.array([_up_after(u, factor * signs * one) for u, one in zip(self.before, self.steps, strict=True)])
+        return math.sqrt(float(np.mean(np.arccos(np.clip(np.sum(turned * self.after, axis=1), -1.0, 1.0)) ** 2)))
+
+
+def findings(data: Foreign, table: Table) -> Iterator[Finding]:
+    """Gyros that contradict gravity, in a file of poses with a triad of either."""
+    force, rate = (_triad(data, quantity) for quantity in ("acceleration", "rate"))
+    if data.manifest.kind != "poses" or not force or not rate or data.manifest.time is None:
+        return
+    turns = _between(data, table, force, rate)
+    if turns is None:
+        return
+    stated = turns.error(np.ones(3), 1.0)
+    if stated < WRONG:
+        return
+    errors = {words: turns.error(np.array(signs), factor) for words, signs, factor in _readings(force, rate)}
+    words, error = _larger(turns)
+    errors[words] = error / LIKELIER
+    best = min(errors, key=lambda one: errors[one])
+    why = f"it would fit with {best}" if errors[best] < FITS * stated else "no sign and no unit explains it"
+    yield Finding(
+        "turns", table.label,
+        f"the turns between {len(turns.steps)} pairs of poses contradict gravity: what the gyros say is "
+        f"{math.degrees(stated):.0f}° off (rms); {why}",
+    )  # fmt: skip
+
+
+def _larger(turns: _Turns) -> tuple[str, float]:
+    """The factor of all gyros that fits best, in words, and what it leaves, rad."""
+    from scipy.optimize import minimize_scalar
+
+    tried = np.geomspace(*FACTORS, 17)
+    errors = [turns.error(np.ones(3), float(one)) for one in tried]
+    near = tried[max(int(np.argmin(errors)) - 1, 0)], tried[min(int(np.argmin(errors)) + 1, len(tried) - 1)]
+    found = minimize_scalar(lambda one: turns.error(np.ones(3), float(one)), bounds=near, method="bounded")
+    return f"rates {float(found.x):.3g} times what is stated", float(found.fun)
+
+
+def _triad(data: Foreign, quantity: str) -> list[Column]:
+    by = {one.axis: one for one in data.manifest.of("device", quantity)}
+    return [by[axis] for axis in AXES] if set(by) >= set(AXES) else []
+
+
+def _readings(force: list[Column], rate: list[Column]) -> Iterator[tuple[str, tuple[float, float, float], float]]:
+    """Other ways to read the channels: in words, signs of the gyros, and a factor."""
+    other = [(f" in {unit} instead of {rate[0].unit}", k) for unit, k in UNITS if rate[0].unit != unit]
+    for said, factor in [("", 1.0), *other]:
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            words = _said(force, rate, signs)
+            if said:
+                words = f"the gyros{said}" + (f", and {words}" if words else "")
+            if words:
+                yield words, (signs[0], signs[1], signs[2]), factor
+
+
+def _said(force: list[Column], rate: list[Column], signs: tuple[float, ...]) -> str:
+    back = [k for k in range(3) if signs[k] < 0.0]
+    if len(back) == 3:
+        return "the gyros counting the other way, all three"
+    if len(back) == 2:
+        (left,) = set(range(3)) - set(back)
+        gyros = " and ".join(rate[k].channel for k in back)
+        return f"{force[left].channel} counting the other way (a left-handed triad), or {gyros}"
+    return f"{rate[back[0]].channel} counting the other way" if back else ""
+
+
+def _between(data: Foreign, table: Table, force: list[Column], rate: list[Column]) -> _Turns | None:
+    rows, time = running(data, table)
+    values = np.column_stack([data.si(table, one)[rows] for one in (*force, *rate)])
+    whole = np.isfinite(values).all(axis=1)
+    values, time = values[whole], time[whole]
+    if len(time) < 100:
+        return None
+    step = float(np.median(np.diff(time)))
+    size = max(4, round(BLOCK / step))
+    rests = _rests(values, size)
+    found = []
+    for (_, end, up, zero), (begin, _, after, later) in itertools.pairwise(rests):
+        moved = slice(end - size // 2, begin + size // 2)
+        steps = np.diff(time[moved], prepend=time[moved][0])
+        turned = float(np.arccos(np.clip(up @ after, -1.0, 1.0)))
+        if turned > TURNED and time[begin] - time[end - 1] < LONGEST and float(steps.max()) < 10.0 * step:
+            found.append((up, after, (values[moved, 3:] - 0.5 * (zero + later)) * steps[:, None]))
+    if len(found) < FEWEST:
+        return None
+    return _Turns(np.array([one[0] for one in found]), np.array([one[1] for one in found]), tuple(o[2] for o in found))
+
+
+def _rests(values: Array, size: int) -> list[tuple[int, int, Array, Array]]:
+    """Stretches at rest, two blocks at least: rows from and to, the direction up (3,) and the means of the gyros."""
+    count = len(values) // size
+    blocks = values[: count * size].reshape(count, size, 6)
+    quiet = np.ones(count, np.bool_)
+    for columns in (slice(0, 3), slice(3, 6)):
+        scatter = np.sqrt(np.sum(np.var(blocks[:, :, columns], axis=1), axis=1))
+        quiet &= scatter < STILL * max(float(np.quantile(scatter, QUIET)), 1e-12)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], quiet, [False])).astype(np.int8)))
+    spans = [(b, e) for b, e in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True) if e - b >= 2]
+    means = np.array([blocks[b:e].mean(axis=(0, 1)) for b, e in spans]).reshape(-1, 6)
+    up = means[:, :3] - _zero(means[:, :3])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return [(b * size, e * size, up[k], means[k, 3:]) for k, (b, e) in enumerate(spans)]
+
+
+def _zero(force: Array) -> Array:
+    """Zeros of a triad (3,) from poses (n, 3) all over the sphere:  |f|² = 2·f·zero + const;  none from few of them."""
+    if len(force) < SPHERE:
+        return np.zeros(3)
+    solution, _, rank, sizes = np.linalg.lstsq(
+        np.column_stack([2.0 * force, np.ones(len(force))]), np.sum(force**2, axis=1)
+    )
+    spread = rank == 4 and sizes[-1] > 0.05 * sizes[0] / np.abs(force).max()
+    small = float(np.linalg.norm(solution[:3])) < LARGEST_ZERO * float(np.median(np.linalg.norm(force, axis=1)))
+    return np.asarray(solution[:3]) if spread and small else np.zeros(3)
+
+
+def _up_after(up: Array, steps: Array) -> Array:
+    """What was up (3,), in a case that has turned by small steps (m, 3) one after the other."""
+    angle = np.linalg.norm(steps, axis=1, keepdims=True)
+    axis = steps / np.where(angle > 0.0, angle, 1.0)
+    turns = np.concatenate([np.cos(0.5 * angle), -axis * np.sin(0.5 * angle)], axis=1)
+    while len(turns) > 1:  # the later one from the left: u₂ = q_m* … q_1* u₁ …
+        if len(turns) % 2:
+            turns = np.concatenate([turns, [[1.0, 0.0, 0.0, 0.0]]])
+        turns = _product(turns[1::2], turns[0::2])
+    w, v = turns[0, 0], turns[0, 1:]
+    return np.asarray(up + 2.0 * np.cross(v, np.cross(v, up) + w * up))
+
+
+def _product(one: Array, other: Array) -> Array:
+    """Products of quaternions, scalar first, (n, 4)."""
+    w, v, w2, v2 = one[:, :1], one[:, 1:], other[:, :1], other[:, 1:]
+    scalar = w * w2 - np.sum(v * v2, axis=1, keepdims=True)
+    return np.concatenate([scalar, w * v2 + w2 * v + np.cross(v, v2)], axis=1)

@@ -56,3 +56,28 @@ def posed(
     )  # fmt: skip
     names = tuple(f"acc_{a}" for a in "xyz")
     return Foreign("made", made, (Table("poses", names, values.T, {}, False),), ())
+
+
+def rested(
+    seed: int,
+    *,
+    force: float,
+    rate: float,
+    walk: float = 0.0,
+    rows: int = 20_000,
+    tolerance: str = "",
+) -> Foreign:
+    """A unit at rest with z up at 100 Hz: white noise of density `force` (m/s²)/√Hz and `rate` (rad/s)/√Hz (two-sided
+    roots, N), and in the rates a random walk of `walk` (rad/s)·√Hz (K)."""
+    random = np.random.default_rng(seed)
+    density = np.array([force] * 3 + [rate] * 3)
+    values = density * np.sqrt(100.0) * random.normal(size=(rows, 6))
+    values[:, 3:] += np.cumsum(walk / np.sqrt(100.0) * random.normal(size=(rows, 3)), axis=0)
+    values[:, 2] += G
+    more = {"tolerance": tolerance} if tolerance else {}
+    columns = [
+        *({"column": f"acc_{a}", "quantity": "acceleration", "unit": "m/s²", "axis": a, **more} for a in "xyz"),
+        *({"column": f"gyro_{a}", "quantity": "rate", "unit": "rad/s", "axis": a, **more} for a in "xyz"),
+    ]  # fmt: skip
+    made = manifest("static", columns, [{"path": "still.csv"}], time={"rate": "100 Hz"})
+    return Foreign("made", made, (Table("still", tuple(one["column"] for one in columns), values, {}, False),), ())

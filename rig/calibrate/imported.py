@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rig.archive.records import Recorded
+from rig.calibrate import imported_noise
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, Result, Source, not_determined, text
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
 from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
-from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.evidence import evidence_of
 from rig.fit.fit import POLE_TOLERANCE
 from rig.foreign.manifest import SI_OF, referred_to
 from rig.foreign.tables import CONDITIONS, Foreign, foreign_of
 from rig.parts.channels import UNSTATED
 from rig.parts.part import Part
+from rig.parts.reading.imported import comparable
+from rig.parts.reading.runs import same_unit
+from rig.sensor import Sensor
 
 SENSITIVITY = "sensitivity, ratio to what is stated"
 OFFSET = "zero output above what is stated"
@@ -36,6 +40,9 @@ MEANING = (
     "sensitivities are ratios to what the manifest states and offsets are above its zeros: a correction takes its "
     "numbers in SI, (number − zero) ÷ sensitivity"
 )
+NOISE_MEANING = (
+    "noise is in SI by the sensitivity that the manifest states, or by the calibrated one where these runs have it"
+)
 BUDGETS = "the budgets hold noise and what the manifest states: nothing of alignment, temperature and drift beyond it"
 HELD_OUT = "values stand on all records, those too that are held out from a diagnosis"
 DATES = "dates are those of the import; the manifest does not say when the records were made"
@@ -44,29 +51,63 @@ DATES = "dates are those of the import; the manifest does not say when the recor
 def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], assumed: Assumed) -> Calibration:
     """One calibration from imported runs of a unit.
 
-    Raises BadInput for runs of different units, for records that no model can be compared with, and for such that
-    determine nothing.
+    Records with motion are compared with the model; those at rest give the noise. Raises BadInput for runs of
+    different units and for such that determine nothing.
     """
-    foreign, evidence = {run.name: foreign_of(run) for run in runs}, evidence_of(runs)
-    known = {term.effect.name for term in assumed.terms}
-    unstated = {t.key: t for part in evidence.parts for t in part.unstated() if t.effect.name not in known}
-    model = "; besides, as no data sheet states it: ".join([assumed.said, *filter(None, [", ".join(unstated)])])
-    assumed = replace(assumed, terms=(*assumed.terms, *unstated.values()))
-    fits = experiments(evidence, assumed)
-    results = [result for one in fits.values() for result in _of_experiment(one, foreign, assumed)]
-    results += of_model(fits, assumed)
-    if not any(result.determined for result in results):
-        raise BadInput(f"{', '.join(evidence.runs)}: found nothing that determines a value, wanted records with motion")
+    _of_one_unit(runs)
+    foreign = {run.name: foreign_of(run) for run in runs}
+    moved = [run for run in runs if comparable(foreign[run.name].manifest)]
+    still = [data for run, data in foreign.items() if not comparable(data.manifest)]
+    found = _Fitted.of(moved, foreign, assumed) if moved else _Fitted()
     header = runs[0].header
+    unit = _unit(found.parts, still, header["sensor"])
+    results = list(_judged(_merged(found.results), _tolerances(foreign.values())))
+    results += imported_noise.results(still, Sensor.stated(unit), results)
+    if not any(result.determined for result in results):
+        wanted = "wanted records with motion, or at rest"
+        raise BadInput(f"{', '.join(foreign)}: found nothing that determines a value, {wanted}")
+    meanings = [*((MEANING, BUDGETS, HELD_OUT) if moved else ()), *((NOISE_MEANING,) if still else ())]
     return Calibration(
-        name=name, sensor=" ".join(str(header["sensor"]["model"]).split()) or "imported unit", serial=evidence.serial,
-        made=max(entry.t for run in runs for entry in run.lines), simulated=evidence.simulated,
-        sources=tuple(sources), standards=tuple(_standards(runs)), conditions=dict(_conditions(foreign.values())),
-        results=tuple(_judged(_merged(results), _tolerances(foreign.values()))),
-        flags=tuple(dict.fromkeys([*_untraced(runs), MEANING, BUDGETS, HELD_OUT, DATES, *evidence.notes])),
-        program={key: str(value) for key, value in header["program"].items()},
-        model=model, unit=_unit(evidence, header["sensor"]),
+        name=name, sensor=" ".join(str(header["sensor"]["model"]).split()) or "imported unit",
+        serial=str(header["sensor"]["serial"]), made=max(entry.t for run in runs for entry in run.lines),
+        simulated=any(bool(run.header["simulated"]) for run in runs), sources=tuple(sources),
+        standards=tuple(_standards(runs)), conditions=dict(_conditions(foreign.values())), results=tuple(results),
+        flags=tuple(dict.fromkeys([*_untraced(moved), *meanings, DATES, *_notes(found, still)])),
+        program={key: str(value) for key, value in header["program"].items()}, model=found.model, unit=unit,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What the fitted model says of records with motion; nothing without any."""
+
+    results: tuple[Result, ...] = ()
+    model: str = ""
+    parts: tuple[Part, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, runs: Sequence[Recorded], foreign: Mapping[str, Foreign], assumed: Assumed) -> _Fitted:
+        evidence = evidence_of(runs)
+        known = {term.effect.name for term in assumed.terms}
+        unstated = {t.key: t for part in evidence.parts for t in part.unstated() if t.effect.name not in known}
+        model = "; besides, as no data sheet states it: ".join([assumed.said, *filter(None, [", ".join(unstated)])])
+        assumed = replace(assumed, terms=(*assumed.terms, *unstated.values()))
+        fits = experiments(evidence, assumed)
+        results = [result for one in fits.values() for result in _of_experiment(one, foreign, assumed)]
+        return cls((*results, *of_model(fits, assumed)), model, evidence.parts, evidence.notes)
+
+
+def _of_one_unit(runs: Sequence[Recorded]) -> None:
+    for run in runs[1:]:
+        if not same_unit(run, runs[0]):
+            raise BadInput(f"{run.name}: found another unit than in {runs[0].name}, wanted runs of one unit")
+
+
+def _notes(found: _Fitted, still: Sequence[Foreign]) -> Iterator[str]:
+    yield from found.notes
+    for data in still:
+        yield from data.found
 
 
 def _of_experiment(experiment: Experiment, foreign: Mapping[str, Foreign], assumed: Assumed) -> Iterator[Result]:
@@ -181,10 +222,10 @@ def _conditions(foreign: Iterable[Foreign]) -> Iterator[tuple[str, tuple[float, 
             yield name, (float(values.mean()), float(values.min()), float(values.max()))
 
 
-def _unit(evidence: Evidence, stated: Mapping[str, Any]) -> dict[str, Any]:
+def _unit(parts: Sequence[Part], still: Sequence[Foreign], stated: Mapping[str, Any]) -> dict[str, Any]:
     """The unit as a sensor file would state it: every sensitivity is one, because ratios to it are what is told."""
-    rows: dict[str, dict[str, Any]] = {}
-    for part in evidence.parts:
+    rows: dict[str, Mapping[str, Any]] = {}
+    for part in parts:
         channels = part.channels
         for name, rate, axis, pole in zip(channels.names, channels.rates, channels.axis, channels.pole, strict=True):
             kind, si = ("rate", "rad/s") if rate else ("acceleration", "m/s²")
@@ -193,4 +234,5 @@ def _unit(evidence: Evidence, stated: Mapping[str, Any]) -> dict[str, Any]:
                 "axis": "xyz"[axis], "range": "", "sensitivity": f"1 V/({si})",
                 "bandwidth": f"{float(pole)!r} Hz" if math.isfinite(pole) else "1 Hz",
             }  # fmt: skip
-    return {"sensor": str(stated["model"]), "serial": evidence.serial, "channels": rows}
+    rows = {**imported_noise.rows(still), **rows}
+    return {"sensor": str(stated["model"]), "serial": str(stated["serial"]), "channels": rows}

@@ -372,10 +372,10 @@ def _exporting(made: Calibration) -> str:
     """How to export a calibration: for a robot where it has all that a robot's file needs, else as a table."""
     from rig.errors import BadInput
     from rig.export import FORMATS as FILES
-    from rig.export.selection import Choice
+    from rig.export.selection import Choice, chosen
 
     try:
-        FILES["ros2"].files(made, Choice())
+        FILES["ros2"].files(made, Choice(chosen(made, "acceleration", None), chosen(made, "rate", None)))
     except BadInput:
         return command("export", made.name, "--to", "csv")
     return command("export", made.name, "--to", "ros2")
@@ -456,7 +456,10 @@ def text_of(made: Calibration) -> list[str]:
     mark = "  SIMULATED" if made.simulated else ""
     lines = [f"calibration {made.name} of {made.sensor} {made.serial}{mark}"]
     lines += [*([f"model: {made.model}"] if made.model else []), ""]
-    shown = [r for r in made.results if r.determined and r.measurand in SHOWN_FIRST]
+    known = [r for r in made.results if r.determined]
+    shown = [r for r in known if r.measurand in SHOWN_FIRST]
+    if {r.measurand for r in shown} <= {"deviation"}:
+        shown = known  # of noise alone
     width = max((len(r.key) for r in shown), default=0)
     lines += [f"  {r.key:<{width}}  {text(r):<26} {_beside(r)}".rstrip() for r in shown]
     others = sum(r.determined for r in made.results) - len(shown)

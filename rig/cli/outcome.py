@@ -122,7 +122,8 @@ def _imported_lines(records: Records) -> list[str]:
         from rig.parts.reading.rest import at_rest
 
         noises = (f"  {one.in_words}" for one in at_rest(data))
-        return [*lines, *noises, "a record of the same unit in motion, imported too, can be compared with a model"]
+        more = "a record of the same unit in motion, imported too, can be compared with a model"
+        return [*lines, *noises, more, f"next: {command('calibrate', records.name)}"]
     return [*lines, f"next: {command('compare', records.name)}"]
 
 

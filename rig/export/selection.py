@@ -7,6 +7,7 @@ yaw about y, pitch about z; a triad is always named in the order x, y, z.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -79,7 +80,14 @@ def whole(calibration: Calibration, triad: Triad | None, quantity: Quantity) -> 
     return triad
 
 
+IMPORT = "import"  # the procedure of a run that was imported
+_COMMAND = re.compile(r":? \(?`.*")  # a command of the bench, which no imported record was made by
 ALONE = "single channels go into csv, mat, hdf5 and python"
+
+
+def imported(calibration: Calibration) -> bool:
+    """Whether somebody else's records are all that it was made from."""
+    return bool(calibration.sources) and all(source.procedure == IMPORT for source in calibration.sources)
 
 
 def needed(calibration: Calibration, channel: str, measurand: str) -> Result:
@@ -87,9 +95,10 @@ def needed(calibration: Calibration, channel: str, measurand: str) -> Result:
     key = f"{channel}.{measurand}"
     found = calibration.find(key)
     if found is None:
+        source = SOURCES.get(measurand, "a record that determines it")
+        source = _COMMAND.sub("", source) if imported(calibration) else source
         raise BadInput(
-            f"calibration {calibration.name}: found no {key} ({why_missing(calibration, key)}), "
-            f"wanted it from {SOURCES.get(measurand, 'a record that determines it')}"
+            f"calibration {calibration.name}: found no {key} ({why_missing(calibration, key)}), wanted it from {source}"
         )
     if found.value is None or not math.isfinite(found.value):
         raise BadInput(f"calibration {calibration.name}: found {key} = {found.value}, wanted a finite number")

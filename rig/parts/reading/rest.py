@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,16 +15,26 @@ from rig.foreign.tables import Foreign, Table
 from rig.motion import Array
 from rig.parts.reading.noise_at_rest import step_of
 from rig.signals import noise
-from rig.signals.noise import Coefficient
+from rig.signals.noise import Coefficient, NoiseFit
+from rig.signals.spectrum import Lines, Periodogram
 
 FEWEST = 16  # rows, below which there is no noise to speak of
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Lines of a record, the noise model fitted to them, and what its numbers are rounded to, SI."""
+
+    lines: Lines
+    fitted: NoiseFit
+    step: float
 
 
 @dataclass(frozen=True)
 class AtRest:
     """One channel at rest: mean and standard deviation (SI), coefficients N (SI/√Hz), B (SI) and K (SI·√Hz).
 
-    `reason` says why there is nothing of that.
+    `spectrum` is what the noise was found from. `reason` says why there is nothing of that.
     """
 
     table: str
@@ -33,6 +43,7 @@ class AtRest:
     mean: float
     deviation: float
     coefficients: dict[str, Coefficient]
+    spectrum: Spectrum | None = field(default=None, repr=False)
     reason: str = ""
 
     @property
@@ -64,7 +75,7 @@ def _channel(foreign: Foreign, table: Table, column: Column) -> AtRest:
     try:
         return _known(foreign, table, column, unit)
     except BadInput as error:
-        return AtRest(table.label, column.channel, unit, math.nan, math.nan, {}, str(error))
+        return AtRest(table.label, column.channel, unit, math.nan, math.nan, {}, reason=str(error))
 
 
 def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
@@ -77,9 +88,17 @@ def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
     if len(values) < FEWEST:
         raise BadInput(f"found {len(values)} rows, wanted some hundred")
     rate = 1.0 / _interval(time)
-    fitted = noise.fit(values, rate, step=step_of(values), pole=None)
+    found = _spectrum(values, rate, step_of(values))
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    return AtRest(table.label, column.channel, unit, mean, deviation, dict(noise.coefficients(fitted)))
+    known = dict(noise.coefficients(found.fitted))
+    return AtRest(table.label, column.channel, unit, mean, deviation, known, found)
+
+
+def _spectrum(values: Array, rate: float, step: float) -> Spectrum:
+    periodogram = Periodogram(rate)
+    periodogram.feed(values)
+    lines = periodogram.result()
+    return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None), step)
 
 
 def _interval(time: Array) -> float:

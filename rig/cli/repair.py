@@ -7,7 +7,7 @@ the unit, or the one that `--model` names. They end with exit code 0 whatever th
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+FEW = 4  # faults of records that a verdict names
 NEAR = 0.5  # of the excess that the nearest on the shelf explains: worth trying
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 MODEL_STARTS = ("datasheet", "paper", "shared")
@@ -271,7 +272,8 @@ def diagnose(
 
     \f
     `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`), `groups` as `rig compare` does, `untold`
-    (those of them whose noise is known only from what the model leaves over: on these no `adequate` stands),
+    (those of them whose noise is known only from what the model leaves over: on these no `adequate` stands), `faults`
+    (sentences on samples that are no measurement and were left out),
     `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
     `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
@@ -300,6 +302,7 @@ def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]
         "candidates": [one.as_json() for one in said.candidates],
         "excluded": [one.as_json() for one in said.excluded],
         "untold": [one.as_json() for one in said.untold],
+        "faults": list(said.faults),
         "description": completed(said.description),
         "cannot_see": [completed(one) for one in said.cannot_see],
     }
@@ -336,10 +339,19 @@ def verdict_text(said: Conclusion) -> str:
         case "unlisted":
             return f"verdict: unlisted effect - {errors}, {there}; with the best of the shelf {said.after:.4g}"
         case _:
-            sizes = ", ".join(f"{one.error:.3g} {one.unit} ({one.name})" for one in said.untold)
-            return (
-                f"verdict: undecided - error is {sizes}; whether that is noise cannot be told: {_to_know(said.untold)}"
-            )
+            return f"verdict: undecided - {'; '.join(_undecided(said, errors))}"
+
+
+def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
+    """Why nothing stands out, and the model is not called adequate all the same."""
+    if said.untold:
+        sizes = ", ".join(f"{one.error:.3g} {one.unit} ({one.name})" for one in said.untold)
+        yield f"error is {sizes}"
+        yield f"whether that is noise cannot be told: {_to_know(said.untold)}"
+    else:
+        yield errors
+    if said.faults:
+        yield f"the records hold samples that are no measurement ({'; '.join(said.faults[:FEW])}): look at them first"
 
 
 def candidate_text(one: Candidate, nearest: bool) -> list[str]:

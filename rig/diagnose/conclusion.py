@@ -96,7 +96,8 @@ class Conclusion:
 
     `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
     `worst_at` says where the model as given fails most: its error there, and what is left of that. `untold` are groups
-    of rows, with all steps taken, whose noise is known only from what the model leaves over.
+    of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` sentences on
+    samples that were left out.
     """
 
     verdict: str
@@ -113,6 +114,7 @@ class Conclusion:
     diagnosis: Diagnosis = field(repr=False)
     excluded: tuple[Excluded, ...] = ()
     untold: tuple[Group, ...] = ()
+    faults: tuple[str, ...] = ()
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -202,6 +204,7 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         diagnosis=diagnosis,
         excluded=tuple(_excluded(diagnosis)),
         untold=tuple(untold(diagnosis.final)),
+        faults=tuple(dict.fromkeys(one for part in evidence.parts for one in part.faults)),
     )
 
 

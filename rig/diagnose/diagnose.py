@@ -4,7 +4,8 @@ Every step takes the effect with the largest merit: the χ² that it removes aft
 the best of so many candidates, less how unusual it is. A step is taken only if chance would hardly do as well. Effects
 that the data cannot tell from the one taken form its class. When no effect brings the rows to their noise, the verdict
 is *unlisted*, and the best candidate is only the nearest. Where nothing is found missing but noise is known only from
-what the model leaves over, the verdict is *undecided*: that nothing stands out of such noise means nothing.
+what the model leaves over, the verdict is *undecided*: that nothing stands out of such noise means nothing. So it is
+while records hold samples that are no measurement: what made them may have changed others too.
 """
 
 from __future__ import annotations
@@ -345,7 +346,8 @@ def _concluded(
     if not fine:
         verdict = "unlisted"
     elif not steps:
-        verdict = "undecided" if adequacy.untold(final) else "adequate"
+        doubtful = adequacy.untold(final) or any(part.faults for part in final.parts)
+        verdict = "undecided" if doubtful else "adequate"
     else:
         verdict = "missing"
     return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.foreign import lines as foreign_lines
-from rig.foreign import outliers, turns
 from rig.foreign import pairs as foreign_pairs
-from rig.foreign.manifest import KINDS, Column
+from rig.foreign import turns
+from rig.foreign.faults import FROZEN, STILL, faults, listed, runs
+from rig.foreign.manifest import KINDS
 from rig.foreign.pairs import Finding
 from rig.foreign.tables import Foreign, Table
 
@@ -31,12 +32,7 @@ GAP = 1.5  # times the usual interval
 SHOWN = 3  # row numbers that a sentence lists
 RATES = (5.0, 2e5)  # Hz, between which inertial sensors are logged
 JITTER = 0.005  # standard deviation of a time stamp worth a word, of the interval
-FROZEN = 20  # rows of one value that are looked at
 DROPPED = 5  # whole rows that repeat
-# what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
-STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "temperature", "line_a", "line_b",
-         "index_line")  # fmt: skip
-SIGNALS = ("acceleration", "rate", "voltage", "unstated")
 
 
 def findings(data: Foreign) -> list[Finding]:
@@ -56,13 +52,6 @@ def _of_table(data: Foreign, table: Table) -> Iterator[Finding]:
     yield from foreign_lines.findings(data, table)
 
 
-def _rows(rows: NDArray[np.int64]) -> str:
-    """Row numbers in words: `row 5`, `rows 5, 9, 12 and 19 more`."""
-    listed = ", ".join(str(row) for row in rows[:SHOWN])
-    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
-    return f"row{'' if len(rows) == 1 else 's'} {listed}{more}"
-
-
 def _seconds(value: float) -> str:
     return f"{value:.4g} s" if value >= 1.0 else f"{value * 1e3:.4g} ms" if value >= 1e-3 else f"{value * 1e6:.4g} µs"
 
@@ -72,7 +61,7 @@ def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     stamps = data.time(table)
     bad = np.flatnonzero(~np.isfinite(stamps))
     if len(bad):
-        text = f"{len(bad)} time stamps are not numbers: {_rows(bad)}"
+        text = f"{len(bad)} time stamps are not numbers: {listed(bad)}"
         yield Finding("time_missing", table.label, text)
     places = np.flatnonzero(np.isfinite(stamps))
     if len(places) < 3:
@@ -83,7 +72,7 @@ def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     if len(back):
         k = int(back[0])
         worst = f"the first from {stamps[rows[k] - 1]:.6g} s to {stamps[rows[k]]:.6g} s"
-        yield Finding("time_backwards", table.label, f"time runs backwards at {_rows(rows[back])}, {worst}")
+        yield Finding("time_backwards", table.label, f"time runs backwards at {listed(rows[back])}, {worst}")
     forward = steps[steps > 0.0]
     if len(forward) < 2:
         yield Finding("time_constant", table.label, "time does not run: nearly all time stamps are the same")
@@ -97,14 +86,14 @@ def _twice_and_gaps(table: Table, steps: Array, rows: NDArray[np.int64], usual: 
     twice = np.flatnonzero(steps == 0.0)
     if len(twice):
         text = f"{len(twice)} time stamp{' is' if len(twice) == 1 else 's are'} the same as the one before"
-        yield Finding("time_duplicates", table.label, f"{text}: {_rows(rows[twice])}")
+        yield Finding("time_duplicates", table.label, f"{text}: {listed(rows[twice])}")
     wide = np.flatnonzero(steps > GAP * usual)
     if len(wide):
         longest = wide[int(np.argmax(steps[wide]))]
         late = sum(bool(np.any(np.abs(twice - k) <= 1)) for k in wide)
         lost = _lost(steps, np.concatenate((wide, twice)))
         text = (
-            f"{len(wide)} gap{'' if len(wide) == 1 else 's'} in the time stamps ({_rows(rows[wide])}), the longest "
+            f"{len(wide)} gap{'' if len(wide) == 1 else 's'} in the time stamps ({listed(rows[wide])}), the longest "
             f"{_seconds(float(steps[longest]))} before row {rows[longest]} where {_seconds(usual)} is usual"
         )
         text += f"; about {lost} sample{' is' if lost == 1 else 's are'} missing" if lost else ""
@@ -153,12 +142,6 @@ def _other_units(data: Foreign) -> list[tuple[str, float]]:
     return [(unit, scale[stated] / k) for unit, k in scale.items() if stated in scale and unit != stated]
 
 
-def _runs(flags: Mask) -> list[tuple[int, int]]:
-    """Stretches of true: first row and length."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
-    return [(int(begin), int(end - begin)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def _of_values(data: Foreign, table: Table) -> Iterator[Finding]:
     yield from _not_numbers(data, table)
     for column in data.manifest.columns:
@@ -172,10 +155,8 @@ def _of_values(data: Foreign, table: Table) -> Iterator[Finding]:
             text = f"{column.channel}: every row holds {finite[0]:.6g}"
             yield Finding("constant", table.label, text)
             continue
-        if column.quantity in SIGNALS:
-            yield from _outliers(table, column, values)
-            yield from _clipped(table, column, values)
-        yield from _frozen(data, table, column, values)
+        for one in faults(data, table, column):
+            yield Finding(one.kind, table.label, one.text)
 
 
 def _not_numbers(data: Foreign, table: Table) -> Iterator[Finding]:
@@ -187,108 +168,13 @@ def _not_numbers(data: Foreign, table: Table) -> Iterator[Finding]:
             groups.setdefault(np.packbits(lacking).tobytes(), []).append(column.channel)
     for packed, channels in groups.items():
         lacking = np.unpackbits(np.frombuffer(packed, np.uint8), count=len(table.values)).astype(bool)
-        stretches = _runs(lacking)
+        stretches = runs(lacking)
         first, longest = max(stretches, key=lambda one: one[1])
         name = ", ".join(channels)
         count = f"{int(lacking.sum())} of {len(lacking)} rows are not numbers"
         where = f"in {len(stretches)} stretch{'' if len(stretches) == 1 else 'es'}"
         text = f"{name}: {count}, {where}, the longest {longest} rows from row {first}"
         yield Finding("not_numbers", table.label, text)
-
-
-def _outliers(table: Table, column: Column, values: Array) -> Iterator[Finding]:
-    """Numbers that stand for nothing, and rows that stand alone."""
-    found = list(outliers.marks(values))
-    for mark in found:
-        n = len(mark.rows)
-        many = f"{n} row{' holds' if n == 1 else 's hold'} {mark.value:.6g}"
-        text = f"{column.channel}: {many}, all others lie within {mark.low:.4g} to {mark.high:.4g}: {_rows(mark.rows)}"
-        yield Finding("marks", table.label, f"{text}; if it stands for no number, `missing: {mark.value:.6g}` says so")
-    rest = values.copy()
-    for mark in found:
-        rest[mark.rows] = math.nan
-    rows = outliers.alone(rest)
-    if len(rows):
-        n = len(rows)
-        text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
-        yield Finding("alone", table.label, f"{text}: {_rows(rows)}, the first at {values[rows[0]]:.6g}")
-
-
-def _clipped(table: Table, column: Column, values: Array) -> Iterator[Finding]:
-    """Plateaus at an extreme that the signal enters at speed: a range that was exceeded.
-
-    A signal that turns by itself comes to its extreme in its smallest steps; a cut one arrives in large ones.
-    """
-    steps = np.abs(np.diff(values))
-    moving = steps[np.isfinite(steps) & (steps > 0.0)]
-    smallest = float(np.min(moving, initial=np.inf))
-    for name, extreme in (("top", np.nanmax(values)), ("bottom", np.nanmin(values))):
-        at = values == extreme
-        flats = [(first, n) for first, n in _runs(at) if n >= 3]
-        count = sum(n for _, n in flats)
-        if len(flats) < 2 or count < 8 or extreme == 0.0 or count > 0.5 * len(values):
-            continue
-        entries = [steps[first - 1] for first, n in flats if first > 0 and np.isfinite(steps[first - 1])]
-        if entries and np.median(entries) > max(3.0 * smallest, 0.1 * float(np.median(moving))):
-            share = f"{count} rows in {len(flats)} stretches stand at {extreme:.6g}"
-            text = f"{column.channel}: clipped at the {name}: {share}, the first from row {flats[0][0]}"
-            yield Finding("clipped", table.label, text)
-
-
-def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Iterator[Finding]:
-    """A value that repeats far longer than it would by chance while another channel moves."""
-    same = np.diff(values) == 0.0
-    stretches = [(first, n + 1) for first, n in _runs(same) if n + 1 >= FROZEN]
-    if not stretches:
-        return
-    outside = len(same) - sum(n - 1 for _, n in stretches)
-    p = (int(same.sum()) - sum(n - 1 for _, n in stretches)) / max(outside, 1)
-    chance = math.log(len(values)) / max(-math.log(max(p, 1e-6)), 1e-3)
-    odd = [(first, n) for first, n in stretches if n > 4.0 * chance and _moves_beside(values, first, n)]
-    odd = [(first, n) for first, n in odd if _others_move(data, table, column, first, n)]
-    if odd:
-        first, n = max(odd, key=lambda one: one[1])
-        rows = sum(n for _, n in odd)
-        where = f"in {len(odd)} stretch{'' if len(odd) == 1 else 'es'}, the longest {n} rows from row {first}"
-        text = f"{column.channel}: frozen for {rows} rows {where} (at {values[first]:.6g}) while other channels move"
-        yield Finding("frozen", table.label, text)
-
-
-def _moves_beside(values: Array, first: int, count: int) -> bool:
-    """Whether the channel moves by more than a few of its smallest steps before and after it stood still."""
-    steps = np.abs(np.diff(values))
-    smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
-    beside = np.concatenate((values[max(first - 50, 0) : first], values[first + count : first + count + 50]))
-    beside = beside[np.isfinite(beside)]
-    return len(beside) > 1 and float(np.ptp(beside)) > 6.0 * smallest
-
-
-def _others_move(data: Foreign, table: Table, column: Column, first: int, count: int) -> bool:
-    """Whether another channel goes on that cannot while this one rightly stands still.
-
-    A sensor always shows its noise, so its neighbours' steps decide; an angle or a position may rest, so there it is
-    how far the neighbours go.
-    """
-    rests = column.quantity in ("angle", "position")
-    for other in data.manifest.columns:
-        if other.column == column.column or not _kin(data, other, column):
-            continue
-        values = table.of(other.column)
-        here, whole = values[first : first + count], values
-        if not rests:
-            here, whole = np.diff(here), np.diff(whole)
-        if np.isfinite(here).sum() > 2 and float(np.nanstd(here)) > 0.5 * float(np.nanstd(whole)) > 0.0:
-            return True
-    return False
-
-
-def _kin(data: Foreign, one: Column, other: Column) -> bool:
-    """Whether two channels move together; of the gyros, an angle knows the one on its axis only."""
-    rotation = data.manifest.rotation
-    if {one.quantity, other.quantity} == {"rate", "angle"}:
-        return rotation is not None and rotation.axis in (one.axis, other.axis)
-    groups = (("rate",), ("angle",), ("acceleration", "unstated", "voltage"), ("position",))
-    return any(one.quantity in group and other.quantity in group for group in groups)
 
 
 def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
@@ -302,11 +188,11 @@ def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
         return
     zeros = np.all(values == 0.0, axis=1)
     if zeros.any() and _not_by_chance(moving[~zeros] == 0.0, zeros):
-        where = _rows(np.flatnonzero(zeros))
+        where = listed(np.flatnonzero(zeros))
         n = int(zeros.sum())
         yield Finding("zeros", table.label, f"{n} row{' is' if n == 1 else 's are'} all zeros: {where}")
     same = np.all(np.diff(moving, axis=0) == 0.0, axis=1) & ~zeros[1:]
-    stretches = [(first, n + 1) for first, n in _runs(same) if n + 1 >= DROPPED]
+    stretches = [(first, n + 1) for first, n in runs(same) if n + 1 >= DROPPED]
     rest = np.diff(moving, axis=0)[~same] == 0.0
     if stretches and float(np.prod(np.mean(rest, axis=0))) ** (DROPPED - 2) * len(values) < 1e-3:
         first, n = max(stretches, key=lambda one: one[1])
@@ -322,5 +208,5 @@ def _moves(values: Array) -> bool:
 def _not_by_chance(zero: Mask, zeros: Mask) -> bool:
     """Whether more rows are zero than columns that are zero now and then would bring about."""
     expected = len(zeros) * float(np.prod(np.mean(zero, axis=0))) if len(zero) else math.inf
-    longest = max(n for _, n in _runs(zeros))
+    longest = max(n for _, n in runs(zeros))
     return expected < 1e-2 * int(zeros.sum()) and (zero.shape[1] >= 3 or longest >= 3)

@@ -44,13 +44,14 @@ class Part(ABC):
     `instruments`: kinds of reference with effects of their own. `logged`: signals beside the motion that its records
     hold: temperature, supply, source. `formulas`: shapes of a formula that this motion may
     show, beside those that any may. `extra` (rows, k): nuisances with a prior of one standard deviation each,
-    called `extra_title`.
+    called `extra_title`. `faults`: sentences on samples that are no measurement and were left out.
     """
 
     instruments: frozenset[str] = frozenset()
     logged: frozenset[str] = frozenset()
     formulas: ClassVar[tuple[str, ...]] = ()
     extra_title: ClassVar[str] = "ripple"
+    faults: tuple[str, ...] = ()
 
     def __init__(
         self, name: str, run: str, channels: Channels, width: int, *, row_names: tuple[str, ...] | None = None,

@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.archive.records import Recorded
 from rig.errors import BadInput
+from rig.foreign import faults
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
@@ -37,7 +38,9 @@ def reading_of(foreign: Foreign) -> Reading:
     if reader is None:
         wanted = f"wanted one with motion (its noise: `rig show {foreign.run}`)"
         raise BadInput(f"{foreign.run}: found a {kind} record, {wanted}")
-    found = reader(foreign)
+    found, faulty = reader(foreign), tuple(faults.said(foreign))
+    for part in found.parts:
+        part.faults = faulty
     by_experiment: dict[str, list[str]] = {}
     for part in found.parts:
         by_experiment.setdefault(part.experiment, []).append(part.name)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.errors import BadInput
+from rig.foreign.faults import bridged, faults
 from rig.foreign.manifest import Column, Manifest
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
@@ -38,6 +39,8 @@ REST = "rest"
 SEARCHED = (0.7, 1.4)  # of the commanded frequency: where the driven line is looked for
 PEAK = 10.0  # amplitude of the driven line over the median line in that band
 SHORTEST = 5.0  # cycles
+MOST_FAULTY = 0.3  # of the rows of a record: with more left out the rest says little
+FILLINGS = 12  # the rest of an error shrinks by the faulty share each time
 EVEN = 0.1  # of the interval: how far a time stamp may lie from even spacing
 COHERENT = 0.9  # coherence² above which the lines between give the ratio of device and reference
 SHARE, LINES_BESIDE = 0.3, 12  # neighbourhood of a line, as in `tone.line_variances`
@@ -99,7 +102,7 @@ def _columns(foreign: Foreign) -> list[Column]:
 def _record(foreign: Foreign, table: Table, columns: Sequence[Column], before: _Record | None) -> _Record:
     where = f"{foreign.run} {table.label}"
     stamps = foreign.time(table)
-    values = np.stack([foreign.si(table, one) for one in columns], axis=1)
+    values, faulty = _whole(foreign, table, columns)
     bad = int(np.count_nonzero(~np.isfinite(np.column_stack([stamps, values])).all(axis=1)))
     if bad:
         raise BadInput(f"{where}: found {bad} rows that are no numbers, wanted a record without gaps")
@@ -112,11 +115,39 @@ def _record(foreign: Foreign, table: Table, columns: Sequence[Column], before: _
             raise BadInput(f"{where}, {one.channel}: found nothing but {column[0]:g}, wanted a sine of {nominal:g} Hz")
     frequency = _found(foreign, table, where, t, values, nominal)
     delay = np.array([one.delay for one in columns])
+    values = _filled(t, values, faulty, 1.0 / interval, frequency)
     lines = _taken_apart(t, values, 1.0 / interval, begin, frequency, foreign.manifest.mains)
     leftover = _leftover(lines.left + lines.hum, 1.0 / interval, begin, frequency or None, delay)
     at = np.asarray(frequency * np.arange(1, lines.harmonics.shape[1] + 1), np.float64)
     harmonics = _turned(lines.harmonics.T, at, delay).T
     return _Record(table, t, values, 1.0 / interval, begin, nominal, frequency, delay, harmonics, lines, leftover)
+
+
+def _whole(foreign: Foreign, table: Table, columns: Sequence[Column]) -> tuple[Array, NDArray[np.bool_]]:
+    """Columns in SI with a straight line where samples are no measurement, and where that is, both (n, c).
+
+    Raises BadInput if too few are left.
+    """
+    values, faulty = [], []
+    for one in columns:
+        column, flags = foreign.si(table, one), np.zeros(len(table.values), np.bool_)
+        for fault in faults(foreign, table, one):
+            flags[fault.rows] = True
+        if (share := float(flags.mean())) > MOST_FAULTY:
+            where = f"{foreign.run} {table.label}, {one.channel}"
+            wanted = f"wanted {MOST_FAULTY:.0%} at most"
+            raise BadInput(f"{where}: found {share:.0%} of the rows that are no measurement, {wanted}")
+        values.append(bridged(column, np.flatnonzero(flags)) if flags.any() else column)
+        faulty.append(flags)
+    return np.stack(values, axis=1), np.stack(faulty, axis=1)
+
+
+def _filled(t: Array, values: Array, faulty: NDArray[np.bool_], rate: float, frequency: float) -> Array:
+    """Values with what the sines say in place of samples that are no measurement: a fit that they then do not move."""
+    for _ in range(FILLINGS if faulty.any() and frequency else 0):
+        left = separated(t, values, rate, frequency, None).left
+        values = np.where(faulty, values - left, values)
+    return values
 
 
 def _interval(where: str, stamps: Array) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
+from rig.foreign.faults import LONGEST, runs, without_faults
 from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
@@ -83,7 +84,7 @@ def _turned(foreign: Foreign, table: Table) -> AngleTrack:
         return _counted(foreign, table)
     u = foreign.u(table, columns[0])
     return encoder_track(  # jitter of stamps is in the incoherent part: weights for it would bend the response
-        foreign.time(table) + columns[0].delay, foreign.si(table, columns[0]),
+        foreign.time(table) + columns[0].delay, without_faults(foreign, table, columns[0]),
         u_angle=0.0 if u is None else math.sqrt(float(np.nanmean(u**2))), keep=_keep(foreign),
     )  # fmt: skip
 
@@ -131,8 +132,8 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
     time, found = foreign.time(table), []
     good = track.good.copy()
     for column in _device(foreign):
-        values = foreign.si(table, column)
         stamps = time + column.delay
+        values = _without_faults(foreign, table, column, stamps, track)
         known = np.isfinite(stamps) & np.isfinite(values)
         later = np.flatnonzero(known)
         later = later[np.diff(np.maximum.accumulate(stamps[later]), prepend=-math.inf) > 0.0]
@@ -148,6 +149,27 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
     conditions = _conditions(foreign, table, track.time)
     piece = _Piece(table, track.time, np.array(found), good, track.interval, track, conditions)
     return _thinned(piece, max(_bands(foreign, track)))
+
+
+def _without_faults(
+    foreign: Foreign, table: Table, column: Column, stamps: Array, track: AngleTrack | PoseTrack
+) -> Array:
+    """A device's column in SI, (n,), with nothing where single samples are no measurement.
+
+    Longer stretches of a gyro about the axis are what the reference shows there, times what the gyro makes of it
+    elsewhere: gaps would leave too little of a record that is cut off at every swing, and these rows say nothing new.
+    """
+    values = without_faults(foreign, table, column)
+    lost = ~np.isfinite(values) & np.isfinite(foreign.si(table, column))
+    turned = foreign.manifest.rotation
+    if not lost.any() or not isinstance(track, AngleTrack) or turned is None or column.quantity != "rate":
+        return values
+    if column.axis != turned.axis or max(count for _, count in runs(lost)) <= LONGEST:
+        return values
+    rate = np.interp(stamps, track.time, track.rate)
+    known = np.isfinite(values) & np.isfinite(stamps)
+    factor, zero = np.polyfit(rate[known], values[known], 1)
+    return np.where(lost, zero + factor * rate, values)
 
 
 def _conditions(foreign: Foreign, table: Table, at: Array) -> dict[str, Array]:

@@ -1,0 +1,242 @@
+"""Samples that are no measurement: marks, rows that stand alone, stretches stuck or cut off, steps of a reference.
+
+They are found in the numbers as they stand in the file, before any filter or fit. What is found is left out of what a
+model is compared with, said on import, and keeps a model from being called adequate. A flat top below the extreme of a
+channel is saturation, which is physics, and none of these.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.foreign import outliers
+from rig.foreign.manifest import KINDS, Column
+from rig.foreign.tables import Foreign, Table
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+Kind = Literal["marks", "alone", "clipped", "frozen", "reference_step"]
+SHOWN = 3  # row numbers that a sentence lists
+FROZEN = 20  # rows of one value that are looked at
+LONGEST = 3  # rows of a glitch; what lasts longer is motion, or a stretch of its own
+GAP = 1.5  # times the usual interval
+# what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
+STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "temperature", "line_a", "line_b",
+         "index_line")  # fmt: skip
+SIGNALS = ("acceleration", "rate", "voltage", "unstated")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Rows of one channel that are no measurement, (k,), and a sentence about them."""
+
+    kind: Kind
+    channel: str
+    rows: Rows
+    text: str
+
+
+def faults(data: Foreign, table: Table, column: Column) -> list[Fault]:
+    """What is wrong with single samples of a column of a file that is sampled in time."""
+    values = table.of(column.column)
+    finite = values[np.isfinite(values)]
+    if not KINDS[data.manifest.kind].timed or column.quantity == "quaternion" or column.quantity in STILL:
+        return []
+    if len(finite) < 2 * FROZEN or np.ptp(finite) == 0.0:
+        return []
+    found: list[Fault] = []
+    if column.quantity in SIGNALS:
+        found += _clipped(column, values)
+        found += _outliers(column, values)
+    if column.quantity == "angle":
+        found += _steps(data, table, column, values)
+    rest = values.copy()
+    for one in found:
+        if one.kind == "clipped":  # stands still too, for a reason that is known
+            rest[one.rows] = math.nan
+    return [*found, *_frozen(data, table, column, rest)]
+
+
+def without_faults(data: Foreign, table: Table, column: Column) -> Array:
+    """A column in SI, (n,), NaN where its samples are no measurement; an angle goes on after a step as before it."""
+    values = data.si(table, column).copy()
+    for one in faults(data, table, column):
+        if one.kind == "reference_step":
+            values = _rejoined(values, one.rows)
+        values[one.rows] = math.nan
+    return values
+
+
+def bridged(values: Array, rows: Rows) -> Array:
+    """Values (n,) with a straight line in place of some rows."""
+    good = np.ones(len(values), np.bool_)
+    good[rows] = False
+    there = np.flatnonzero(good)
+    return np.where(good, values, np.interp(np.arange(len(values)), there, values[there]))
+
+
+def said(data: Foreign) -> list[str]:
+    """Sentences about all faults in all files that a model is not compared with."""
+    return [
+        f"{table.label}: {one.text}; left out"
+        for table in data.tables for column in data.manifest.columns if column.role in ("device", "reference")
+        for one in faults(data, table, column)
+    ]  # fmt: skip
+
+
+def runs(flags: Mask) -> list[tuple[int, int]]:
+    """Stretches of true: first row and length."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return [(int(begin), int(end - begin)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def listed(rows: Rows) -> str:
+    """Row numbers in words: `row 5`, `rows 5, 9, 12 and 19 more`."""
+    some = ", ".join(str(row) for row in rows[:SHOWN])
+    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+    return f"row{'' if len(rows) == 1 else 's'} {some}{more}"
+
+
+# samples that stand out
+
+
+def _outliers(column: Column, values: Array) -> Iterator[Fault]:
+    """Numbers that stand for nothing, and rows that stand alone."""
+    rest = values.copy()
+    for mark in outliers.marks(values):
+        n = len(mark.rows)
+        many = f"{n} row{' holds' if n == 1 else 's hold'} {mark.value:.6g}"
+        text = f"{column.channel}: {many}, all others lie within {mark.low:.4g} to {mark.high:.4g}: {listed(mark.rows)}"
+        advice = f"; if it stands for no number, `missing: {mark.value:.6g}` says so"
+        yield Fault("marks", column.channel, mark.rows, text + advice)
+        rest[mark.rows] = math.nan
+    rows = outliers.alone(rest)
+    if n := len(rows):
+        text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
+        yield Fault("alone", column.channel, rows, f"{text}: {listed(rows)}, the first at {values[rows[0]]:.6g}")
+
+
+# stretches
+
+
+def _clipped(column: Column, values: Array) -> Iterator[Fault]:
+    """Plateaus at an extreme that the signal enters at speed: a range that was exceeded.
+
+    A signal that turns by itself comes to its extreme in its smallest steps; a cut one arrives in large ones.
+    """
+    steps = np.abs(np.diff(values))
+    moving = steps[np.isfinite(steps) & (steps > 0.0)]
+    smallest = float(np.min(moving, initial=np.inf))
+    for name, extreme in (("top", np.nanmax(values)), ("bottom", np.nanmin(values))):
+        at = values == extreme
+        flats = [(first, n) for first, n in runs(at) if n >= 3]
+        count = sum(n for _, n in flats)
+        if len(flats) < 2 or count < 8 or extreme == 0.0 or count > 0.5 * len(values):
+            continue
+        entries = [steps[first - 1] for first, n in flats if first > 0 and np.isfinite(steps[first - 1])]
+        if entries and np.median(entries) > max(3.0 * smallest, 0.1 * float(np.median(moving))):
+            share = f"{count} rows in {len(flats)} stretches stand at {extreme:.6g}"
+            text = f"{column.channel}: clipped at the {name}: {share}, the first from row {flats[0][0]}"
+            yield Fault("clipped", column.channel, np.flatnonzero(at), text)
+
+
+def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Iterator[Fault]:
+    """A value that repeats far longer than it would by chance while another channel moves."""
+    same = np.diff(values) == 0.0
+    stretches = [(first, n + 1) for first, n in runs(same) if n + 1 >= FROZEN]
+    if not stretches:
+        return
+    outside = len(same) - sum(n - 1 for _, n in stretches)
+    p = (int(same.sum()) - sum(n - 1 for _, n in stretches)) / max(outside, 1)
+    chance = math.log(len(values)) / max(-math.log(max(p, 1e-6)), 1e-3)
+    odd = [(first, n) for first, n in stretches if n > 4.0 * chance and _moves_beside(values, first, n)]
+    odd = [(first, n) for first, n in odd if _others_move(data, table, column, first, n)]
+    if odd:
+        first, n = max(odd, key=lambda one: one[1])
+        rows = np.concatenate([np.arange(begin, begin + count) for begin, count in odd])
+        where = f"in {len(odd)} stretch{'' if len(odd) == 1 else 'es'}, the longest {n} rows from row {first}"
+        text = (
+            f"{column.channel}: frozen for {len(rows)} rows {where} (at {values[first]:.6g}) while other channels move"
+        )
+        yield Fault("frozen", column.channel, rows, text)
+
+
+def _moves_beside(values: Array, first: int, count: int) -> bool:
+    """Whether the channel moves by more than a few of its smallest steps before and after it stood still."""
+    steps = np.abs(np.diff(values))
+    smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
+    beside = np.concatenate((values[max(first - 50, 0) : first], values[first + count : first + count + 50]))
+    beside = beside[np.isfinite(beside)]
+    return len(beside) > 1 and float(np.ptp(beside)) > 6.0 * smallest
+
+
+def _others_move(data: Foreign, table: Table, column: Column, first: int, count: int) -> bool:
+    """Whether another channel goes on that cannot while this one rightly stands still.
+
+    A sensor always shows its noise, so its neighbours' steps decide; an angle or a position may rest, so there it is
+    how far the neighbours go.
+    """
+    rests = column.quantity in ("angle", "position")
+    for other in data.manifest.columns:
+        if other.column == column.column or not _kin(data, other, column):
+            continue
+        values = table.of(other.column)
+        here, whole = values[first : first + count], values
+        if not rests:
+            here, whole = np.diff(here), np.diff(whole)
+        if np.isfinite(here).sum() > 2 and float(np.nanstd(here)) > 0.5 * float(np.nanstd(whole)) > 0.0:
+            return True
+    return False
+
+
+def _kin(data: Foreign, one: Column, other: Column) -> bool:
+    """Whether two channels move together; of the gyros, an angle knows the one on its axis only."""
+    rotation = data.manifest.rotation
+    if {one.quantity, other.quantity} == {"rate", "angle"}:
+        return rotation is not None and rotation.axis in (one.axis, other.axis)
+    groups = (("rate",), ("angle",), ("acceleration", "unstated", "voltage"), ("position",))
+    return any(one.quantity in group and other.quantity in group for group in groups)
+
+
+# the reference's angle
+
+
+def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[Fault]:
+    """Where an angle jumps from one row to the next and goes on from there: counts that were lost, or a wrong index."""
+    angle = np.asarray((values - column.zero) / column.scale, np.float64)
+    there = np.flatnonzero(np.isfinite(angle))
+    moved = np.diff(np.unwrap(angle[there], period=2.0 * math.pi))
+    later = np.diff(data.time(table)[there])
+    usual = float(np.median(later[later > 0.0])) if (later > 0.0).any() else math.inf
+    moved[(np.diff(there) > 1) | ~((later > 0.0) & (later < GAP * usual))] = math.nan  # it may have turned meanwhile
+    out = outliers.alone(moved)
+    # a single wrong reading jumps there and back: that is no step
+    pairs = [
+        k for k in out if not any(j in out and abs(moved[j] + moved[k]) < 0.2 * abs(moved[k]) for j in (k - 1, k + 1))
+    ]
+    if not pairs:
+        return []
+    rows = there[np.array(pairs) + 1]
+    size = math.degrees(float(moved[pairs[int(np.argmax(np.abs(moved[pairs])))]]))
+    text = f"{column.channel}: the reference steps by {size:.3g}° at {listed(rows)}"
+    return [Fault("reference_step", column.channel, rows, text)]
+
+
+def _rejoined(angle: Array, rows: Rows) -> Array:
+    """An angle, rad, without what it jumps by at these rows more than it goes on by there."""
+    there = np.flatnonzero(np.isfinite(angle))
+    whole = angle.copy()
+    whole[there] = np.unwrap(angle[there], period=2.0 * math.pi)
+    for row in rows:
+        place = int(np.searchsorted(there, row))
+        near = np.diff(whole[there[max(place - 4, 0) : place + 4]])
+        jump = whole[row] - whole[there[place - 1]]
+        whole[row:] -= jump - float(np.median(near))
+    return whole

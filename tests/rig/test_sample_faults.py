@@ -1,0 +1,131 @@
+"""Samples that are no measurement, in records made here: found where they are, left out, and no model adequate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import imported_sweeps
+import numpy as np
+import pytest
+from imported_worlds import Unit, evidence, rotation
+
+from rig.diagnose.conclusion import conclude
+from rig.diagnose.diagnose import diagnose
+from rig.foreign.faults import Fault, faults
+from rig.foreign.tables import Foreign
+from rig.parts.track import TrackedMotion
+from rig.shelf import shelf
+
+Array = np.ndarray
+GAIN = 1.015
+
+
+def spoilt(foreign: Foreign, name: str, change: Callable[[Array], Array]) -> Foreign:
+    """The same with one column of every file changed."""
+    tables = []
+    for table in foreign.tables:
+        values, column = table.values.copy(), table.names.index(name)
+        values[:, column] = change(values[:, column].copy())
+        tables.append(replace(table, values=values))
+    return replace(foreign, tables=tuple(tables))
+
+
+def turned(seed: int = 1) -> Foreign:
+    return rotation(Unit(rate_gain=(1.0, 1.0, GAIN)), seed, rest=10.0, channels="r", jitter=1e-4)
+
+
+def found(foreign: Foreign) -> list[Fault]:
+    return [one for t in foreign.tables for c in foreign.manifest.columns for one in faults(foreign, t, c)]
+
+
+def put(rows: list[int], value: float) -> Callable[[Array], Array]:
+    def change(values: Array) -> Array:
+        values[rows] = value
+        return values
+
+    return change
+
+
+def cut(values: Array) -> Array:
+    return np.clip(values, -2.4, 2.4)
+
+
+def stuck(values: Array) -> Array:
+    values[3000:3150] = values[3000]
+    return values
+
+
+def jumped(values: Array) -> Array:
+    values[3333:] = np.mod(values[3333:] - 0.2, 2.0 * math.pi)
+    return values
+
+
+CASES: dict[str, tuple[str, Callable[[Array], Array], str, int]] = {
+    "glitches": ("gyro_z", put([2222, 4567], -9.0), "alone", 2),
+    "a glitch of two rows": ("gyro_z", put([2500, 2501], -9.0), "alone", 2),
+    "sentinels": ("gyro_z", put([1500, 1501, 1502, 1503, 4000, 5000], -100.0), "marks", 6),
+    "cut off": ("gyro_z", cut, "clipped", 0),
+    "stuck": ("gyro_z", stuck, "frozen", 150),
+    "a reference that jumps": ("angle", jumped, "reference_step", 1),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_no_measurement_is_found_in_its_rows_and_nowhere_else(case: str) -> None:
+    name, change, kind, rows = CASES[case]
+    one, *more = found(spoilt(turned(), name, change))
+    assert {one.kind, *(other.kind for other in more)} == {kind}
+    assert one.channel == name
+    total = sum(len(other.rows) for other in (one, *more))
+    assert total == pytest.approx(rows, rel=0.05) if rows else total > 100
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_record_with_it_is_not_called_adequate_and_gives_the_sensitivity_all_the_same(case: str) -> None:
+    name, change, _, _ = CASES[case]
+    bad = evidence(spoilt(turned(), name, change))
+    said = conclude(bad, [], shelf())
+    assert said.verdict == "undecided"
+    assert not said.untold
+    assert len(said.faults) >= 1
+    fit = said.diagnosis.base
+    z = fit.layout.gains["gyro_z"]
+    gain, u = 1.0 + fit.state.gain["gyro_z"], math.sqrt(fit.covariance[z, z])
+    assert gain == pytest.approx(GAIN, abs=max(4.0 * u, 1e-4))
+    part = bad.parts[0]
+    assert isinstance(part, TrackedMotion)
+    noise = part.known(2)
+    assert noise is not None
+    assert math.sqrt(float(noise.model.density(3.0)) * 50.0) == pytest.approx(2e-3, rel=0.25)
+
+
+def test_clean_records_and_knocks_have_no_faults() -> None:
+    assert not [one for seed in range(12) for one in found(rotation(Unit(), seed, rest=5.0))]
+    random = np.random.default_rng(2)
+
+    def knocked(values: Array) -> Array:
+        for at in (900, 2700, 4100):
+            values[at : at + 6] += 3.0 * random.normal(size=6)
+        return values
+
+    assert not found(spoilt(turned(), "gyro_z", knocked))
+
+
+def test_a_clean_record_of_the_same_device_is_adequate() -> None:
+    assert diagnose(evidence(turned())).verdict == "adequate"
+
+
+@pytest.mark.parametrize(
+    "change", [put([700, 1900], 99.0), lambda v: np.where(np.arange(len(v)) // 150 == 9, v[1350], v)]
+)
+def test_a_sweep_is_fitted_without_such_samples(change: Callable[[Array], Array]) -> None:
+    foreign = imported_sweeps.made()
+    bad = spoilt(foreign, "board", change)
+    assert found(bad)
+    fits = [evidence(one).fitted() for one in (foreign, bad)]
+    gains = [fit.state.gain["board"] for fit in fits]
+    u = math.sqrt(fits[0].covariance[(z := fits[0].layout.gains["board"]), z])
+    assert gains[1] == pytest.approx(gains[0], abs=2.0 * u)
+    assert diagnose(evidence(bad)).verdict != "adequate"

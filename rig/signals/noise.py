@@ -35,7 +35,8 @@ EULER = 0.5772156649015329
 class NoiseModel:
     """density(f) = (white + flicker/f + random_walk/f²) behind a pole + quantisation, one-sided, unit²/Hz.
 
-    All noise of a sensor arises before its output filter; what rounding adds comes after it.
+    All noise of a sensor arises before its output filter; what rounding adds comes after it. White noise folds at the
+    sampling rate, the slow terms do not.
     """
 
     rate: float  # sampling rate, Hz
@@ -53,7 +54,8 @@ class NoiseModel:
         """One-sided density at the frequencies `f` > 0 in Hz, as sampled, same shape."""
         frequency = np.asarray(f, dtype=float)
         slow = self.flicker / frequency + self.random_walk / frequency**2
-        return np.asarray(_white_shape(frequency, self.pole, self.rate) * (self.white + slow) + self.quantisation)
+        white = _white_shape(frequency, self.pole, self.rate) * self.white
+        return np.asarray(white + _slow_shape(frequency, self.pole) * slow + self.quantisation)
 
     def u_log(self, f: ArrayLike) -> Array:
         """Relative standard uncertainty of the density at `f` > 0 in Hz, same shape; zero for a model that is given."""
@@ -83,7 +85,7 @@ class NoiseModel:
         if self.flicker or self.random_walk:
             f = np.geomspace(low, top, 4000)
             slow = self.flicker / f + self.random_walk / f**2
-            power += float(np.trapezoid(slow * _white_shape(f, self.pole, self.rate), f))
+            power += float(np.trapezoid(slow * _slow_shape(f, self.pole), f))
         return math.sqrt(power)
 
     def covariance(self, begin: ArrayLike, end: ArrayLike) -> Array:
@@ -304,6 +306,11 @@ def _white_shape(f: Array, pole: float, rate: float) -> Array:
     return np.asarray(math.pi * pole / rate * (1 - rho) * (1 + rho) / distance)
 
 
+def _slow_shape(f: Array, pole: float) -> Array:
+    """Slow noise behind one pole: nothing of it is left above half the sampling rate that could fold."""
+    return np.asarray(1.0 / (1.0 + (f / pole) ** 2))
+
+
 def _exp(log: Array) -> list[float]:
     return [float(value) for value in np.exp(log)]
 
@@ -361,19 +368,18 @@ def _parts(f: Array, names: Sequence[str], log: Array, rate: float) -> tuple[Arr
     """Density without the quantisation, and its derivatives by the logarithms, shape (names, n)."""
     value = dict(zip(names, _exp(log), strict=True))
     pole = value.get("pole", math.inf)
-    shape = _white_shape(f, pole, rate)
-    before = {"white": value["white"] * np.ones_like(f)}
-    if "flicker" in value:
-        before["flicker"] = value["flicker"] / f
-    if "random_walk" in value:
-        before["random_walk"] = value["random_walk"] / f**2
-    whole = np.sum(list(before.values()), axis=0)
-    part = {name: one * shape for name, one in before.items()}
-    total = whole * shape
+    slow = np.zeros_like(f)
+    part = {"white": value["white"] * _white_shape(f, pole, rate)}
+    for name, power in (("flicker", 1), ("random_walk", 2)):
+        if name in value:
+            part[name] = value[name] / f**power * _slow_shape(f, pole)
+            slow += value[name] / f**power
+    total = np.sum(list(part.values()), axis=0)
     if "pole" in value:
         h = 1e-4
-        up, down = (_white_shape(f, pole * math.exp(sign * h), rate) for sign in (1, -1))
-        part["pole"] = whole * (up - down) / (2 * h)
+        near = [pole * math.exp(sign * h) for sign in (1, -1)]
+        up, down = (value["white"] * _white_shape(f, p, rate) + slow * _slow_shape(f, p) for p in near)
+        part["pole"] = (up - down) / (2 * h)
     return total, np.array([part[name] for name in names])
 
 

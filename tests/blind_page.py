@@ -24,8 +24,9 @@ simulation is written separately from the program's own effects and shares no co
 
 How strong an effect is, is said by d′ (d prime): the size of its signature in the standard run, in units of the
 noise, after everything has been taken away that the data-sheet model can adjust to it. Strengths are drawn between 6
-and 600, each factor of ten as often as another. An effect of d′ 6 can just be seen by somebody who knows what to look
-for.
+and 600, each factor of ten as often as another, but never beyond the size that such instruments and sensors can have.
+An effect of d′ 6 can just be seen by somebody who knows what to look for. Noise counts by what spectra of records at
+rest show beside the levels that a data sheet leaves open.
 """
 
 COLUMNS = """\
@@ -33,6 +34,7 @@ Shares are given with their 95 % interval (Clopper and Pearson); a small study h
 asked for before the study was made. A world whose diagnosis ended with an error counts as wrong everywhere.
 
 - *Exactly*: the hidden effect is named, and nothing else.
+- *Any other effect*: also those that are not scored by name above, such as noise, lines and coarse codes.
 - *In a first class of ≤ 3*: effects that the data cannot tell apart are named together, as a class; the first one has
   at most three members, and the truth is one of them.
 - *On a fresh run*: the repaired model meets another run of the same unit. Only each channel's zero was adjusted, and

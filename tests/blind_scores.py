@@ -57,6 +57,11 @@ class Trial:
         return self.result["verdict"] == "missing" and hidden <= held and all(one & hidden for one in classes)
 
     @property
+    def held(self) -> bool:
+        """Some class that was named holds a hidden effect."""
+        return any(set(step["members"]) & set(self.answer.names) for step in self.result["steps"])
+
+    @property
     def leaves_more(self) -> bool:
         """What is named leaves more of the held-out χ² than one standard deviation above the noise."""
         kept = self.result.get("held_out")
@@ -106,7 +111,7 @@ def rows(found: Sequence[Trial]) -> list[Row]:
     for one in found:
         of[one.table].append(one)
     makers: dict[str, Callable[[list[Trial]], Iterator[Row]]] = {
-        "clean": _clean, "ripple": _ripple, "one": _one, "two": _two, "unshelved": _unshelved,
+        "clean": _clean, "ripple": _ripple, "one": _one, "two": _two, "others": _others, "unshelved": _unshelved,
         "strangers": _strangers,
     }  # fmt: skip
     made = [row for table, maker in makers.items() if of[table] for row in maker(of[table])]
@@ -170,6 +175,16 @@ def _two(found: list[Trial]) -> Iterator[Row]:
     for least in (10.0, 30.0):
         strong = [one for one in found if one.answer.d_prime >= least]
         yield _row(f"… in the classes, both d′ ≥ {least:g}", strong, lambda one: one.all_in_classes, "")
+
+
+def _others(found: list[Trial]) -> Iterator[Row]:
+    yield _row("any other effect, noise among them: exactly that", found, lambda one: one.exact, "")
+    yield _row("… in a first class of ≤ 3", found, lambda one: one.in_first_class, "")
+    yield _row(
+        "… another named, and none of its class", found, lambda one: bool(one.result["named"]) and not one.held, ""
+    )
+    strong = [one for one in found if one.answer.d_prime >= 10.0]
+    yield _row("… d′ ≥ 10, said to be adequate", strong, lambda one: one.result["verdict"] == "adequate", "")
 
 
 def _unshelved(found: list[Trial]) -> Iterator[Row]:

@@ -19,7 +19,7 @@ import blind_strangers
 import fast_bench
 import numpy as np
 
-from fixtures import strength
+from fixtures import drawing, strength
 from fixtures.draws import stream
 from fixtures.imperfections import Imperfection
 from fixtures.physics import Physics
@@ -39,12 +39,16 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     ),
     "turntable": (
         "asymmetry", "quadratic", "cubic", "g_sensitivity", "lever_arm", "platen_tilt", "encoder_eccentricity",
-        "first_order_lag", "warm_up", "temperature_scale", "supply_ratio", "motor_pickup", "missed_counts",
+        "first_order_lag", "warm_up", "temperature_scale", "motor_pickup", "missed_counts",
     ),
 }  # fmt: skip
-TABLES = ("clean", "ripple", "one", "two", "unshelved", "strangers")
-WEAKEST, STRONGEST = strength.WEAKEST, strength.STRONGEST
+OTHERS: Mapping[str, tuple[str, ...]] = {  # all else that a world can hide and a standard run can show
+    bench: tuple(name for name in drawing.names(bench) if name not in named) for bench, named in NAMES.items()
+}
+TABLES = ("clean", "ripple", "one", "two", "others", "unshelved", "strangers")
+WEAKEST, STRONGEST = drawing.WEAKEST, drawing.STRONGEST
 LEAST_STRANGE, LEAST_EASY = 20.0, 30.0
+ATTEMPTS = 20
 RIPPLE = {"relative": 1e-3}
 REMOUNTS = Path(__file__).parents[1] / "procedures" / "remounts.yaml"
 
@@ -94,15 +98,16 @@ class Answer:
 
 def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> list[Case]:
     """All worlds of a study, with `worlds` for each effect by name and the other tables in proportion (at 30: 300
-    clean, 100 with ripple, 200 with two effects, 10 for each effect off the shelf and for each stranger).
+    clean, 100 with ripple, 200 with two effects, 10 for each other effect, each off the shelf and each stranger).
     """
     third = max(round(worlds / 3), 1)
     made: dict[str, Iterator[Case]] = {
         "clean": (Case("clean", bench, (), n, series) for bench in BENCHES for n in range(5 * worlds)),
         "ripple": (Case("ripple", "shaker", (), n, series) for n in range(round(worlds * 10 / 3))),
-        "one": _each("one", worlds, series),
+        "one": _each("one", NAMES, worlds, series),
         "two": _pairs(round(worlds * 20 / 3), series),
-        "unshelved": _each("unshelved", third, series),
+        "others": _each("others", OTHERS, third, series),
+        "unshelved": _each("unshelved", NAMES, third, series),
         "strangers": (
             Case("strangers", bench, (kind.name,), n, series, LEAST_STRANGE)
             for bench, kinds in blind_strangers.KINDS.items() for kind in kinds for n in range(third)
@@ -111,9 +116,9 @@ def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> lis
     return [case for table in tables for case in made[table]]
 
 
-def _each(table: str, count: int, series: str) -> Iterator[Case]:
+def _each(table: str, names: Mapping[str, Sequence[str]], count: int, series: str) -> Iterator[Case]:
     for bench in BENCHES:
-        for name in NAMES[bench]:
+        for name in names[bench]:
             for number in range(count):
                 yield Case(table, bench, (name,), number, series)
 
@@ -138,24 +143,44 @@ def slice_of_all() -> list[Case]:
 
 
 def drawn(case: Case) -> Answer:
-    """What is hidden in a case's world: parameters of usual size, sized to a strength log-uniform in its range."""
-    random = stream(case.seed, "blind")
-    measure = strength.meter(case.seed, MAINS, case.bench) if case.names else None
+    """What is hidden in a case's world, of a strength that is log-uniform in its range as far as physics allows.
+
+    A world in which it cannot be seen whatever its size (the supply hardly drifts there) is left for another one.
+    """
+    answer = _drawn(case, case.seed)
+    for attempt in range(1, ATTEMPTS):
+        if answer.d_prime > 0.9 * case.weakest:
+            break
+        answer = _drawn(case, zlib.crc32(f"{case.id} {attempt}".encode()) >> 1)
+    return answer
+
+
+def _drawn(case: Case, seed: int) -> Answer:
+    random = stream(seed, "blind")
+    measure = strength.meter(seed, MAINS, case.bench) if case.names else None
     hidden = [_entry(case, name, random, measure) for name in case.names if measure is not None]
-    return Answer(case.id, case.table, case.bench, case.seed, hidden)
+    return Answer(case.id, case.table, case.bench, seed, hidden)
 
 
 def _entry(
     case: Case, name: str, random: np.random.Generator, measure: strength.Sweep | strength.Turns
 ) -> dict[str, Any]:
-    wanted = math.exp(float(random.uniform(math.log(case.weakest), math.log(STRONGEST))))
+    share = float(random.uniform())
     if case.table == "strangers":
-        stranger = blind_strangers.kind_of(name)
+        stranger, wanted = blind_strangers.kind_of(name), _between(case.weakest, STRONGEST, share)
         parameters = blind_strangers.sized(stranger, stranger.drawn(random, case.bench), wanted, measure)
         return {"name": name, "parameters": parameters, "d_prime": measure.strength((stranger(**parameters),))}
     kind = SHELF.kind(name)
-    parameters = strength.sized(name, kind.drawn(random, case.bench), wanted, measure)
+    parameters = kind.drawn(random, case.bench)
+    most = min(drawing.reach(name, parameters, measure), STRONGEST)
+    wanted = _between(min(case.weakest, most), most, share)
+    parameters = drawing.sized(name, parameters, wanted, measure)
     return {"name": name, "parameters": parameters, "d_prime": measure.strength((kind(**parameters),))}
+
+
+def _between(low: float, high: float, share: float) -> float:
+    """This share of the way, on a logarithmic scale."""
+    return low * (high / low) ** share
 
 
 def world_of(answer: Answer) -> World:

@@ -23,6 +23,7 @@ from blind_scores import Trial
 from blind_worlds import Answer
 
 from fixtures import strength
+from fixtures.shelf import SHELF
 
 EXACT = 23  # of 24 hidden effects; 21 if lags and delays are turned the wrong way, 4 if means count as independent
 ENTRY = {"name": "cubic", "parameters": {"coefficient": 1e-5, "quantity": "acceleration"}, "d_prime": 60.0}
@@ -104,8 +105,28 @@ def test_an_answer_that_was_changed_after_the_diagnosis_is_refused(tmp_path: Pat
 def test_a_whole_study_has_the_worlds_that_its_tables_promise_and_each_only_once() -> None:
     cases = blind_worlds.cases(30)
     count = {table: sum(case.table == table for case in cases) for table in blind_worlds.TABLES}
-    assert count == {"clean": 300, "ripple": 100, "one": 840, "two": 200, "unshelved": 280, "strangers": 100}
+    others = 10 * sum(map(len, blind_worlds.OTHERS.values()))
+    assert count == {
+        "clean": 300, "ripple": 100, "one": 810, "two": 200, "others": others, "unshelved": 270, "strangers": 100,
+    }  # fmt: skip
     assert len({case.id for case in cases}) == len({case.seed for case in cases}) == len(cases)
+
+
+def test_together_the_tables_hide_every_kind_that_can_be_seen() -> None:
+    hidden = {name for case in blind_worlds.cases(1) if case.table in ("one", "others") for name in case.names}
+    assert set(SHELF.names) - hidden == {"sensitivity", "offset", "buffer_gain", "ldv_cosine"}
+
+
+@pytest.mark.parametrize(("bench", "name"), [("shaker", "supply_ratio"), ("turntable", "flicker")])
+def test_what_physics_does_not_allow_to_be_strong_is_as_weak_as_it_is(bench: str, name: str) -> None:
+    """Many draws, none beyond its limits, and each of the strength that it says."""
+    answers = [blind_worlds.drawn(blind_worlds.Case("others", bench, (name,), number)) for number in range(2)]
+    for answer in answers:
+        (entry,) = answer.hidden
+        kind = SHELF.kind(name)
+        low, high = kind.allowed(str(entry["parameters"].get("quantity", "")))
+        assert low <= entry["parameters"][kind.size] <= high * (1.0 + 1e-9)
+        assert 5.5 < answer.d_prime < 40.0
 
 
 def test_the_ripple_is_as_large_as_stated_and_another_after_a_remount() -> None:

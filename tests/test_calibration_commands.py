@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pages
 import pytest
 
@@ -106,3 +107,40 @@ def test_what_cannot_be_used_is_refused(runs: Path, words: tuple[str, ...]) -> N
     assert done.returncode == 2
     assert "found" in done.stderr
     assert "wanted" in done.stderr
+
+
+def test_somebody_elses_sweep_in_volts_joins_the_benchs_own_runs(runs: Path, tmp_path: Path) -> None:
+    own = {one["key"]: one for one in json.loads((runs / "first.json").read_text())["results"]}
+    gain, random = own["unit_a_x.sensitivity"]["value"], np.random.default_rng(3)
+    t = np.arange(6000) / 1000.0
+    files = []
+    for number, level in enumerate((0.0, 2.0, 5.0)):
+        base = level * np.sin(2.0 * np.pi * 20.13 * t)
+        columns = np.column_stack([base + 0.01 * random.normal(size=len(t)), gain * base + 1.65])
+        columns[:, 1] += 7e-4 * random.normal(size=len(t))
+        np.savetxt(tmp_path / f"{number}.csv", columns, delimiter=",", header="ref,out", comments="", fmt="%.7f")
+        setting = f"level: l{number}, frequency: 20 Hz" if number else "level: rest"
+        files.append(f"- {{path: {number}.csv, settings: {{{setting}}}}}\n")
+    head = "format: 1\nkind: sweep\nlabel: theirs\nunit: {serial: SIM-CUBE-1}\n"
+    (tmp_path / "m.yaml").write_text(
+        f"{head}provenance: {{source: a lab, licence: none}}\nfiles:\n{''.join(files)}time: {{rate: 1000 Hz}}\n"
+        "columns:\n- {column: ref, quantity: acceleration, unit: m/s², role: reference, gain_uncertainty: 0.1 %}\n"
+        "- {column: out, name: unit_a_x, quantity: voltage, unit: V, axis: x}\n",
+        encoding="utf-8",
+    )
+    theirs = json.loads(rig(runs, "import", str(tmp_path / "m.yaml"), "--json").stdout)["run"]
+    sweep = next(run.name for run in sorted(runs.iterdir()) if run.name.endswith("sweep-x"))
+    done = rig(runs, "calibrate", sweep, theirs, "--name", "both", "--json")
+    assert done.returncode == 0, done.stderr
+    found = {one["key"]: one for one in json.loads(done.stdout)["results"]}
+    both = found["unit_a_x.sensitivity"]
+    assert both["unit"] == "V/(m/s²)"
+    assert both["value"] == pytest.approx(gain, rel=0.002)
+    assert both["u"] < 0.5 * own["unit_a_x.sensitivity"]["u"]
+    assert "u of its gain 0.1 %" in both["reference"]
+    assert any("vibrometer" in remark for remark in both["remarks"])
+    assert both["verdict"] == "pass"
+    assert found["unit_b_x.sensitivity"]["value"] == pytest.approx(own["unit_b_x.sensitivity"]["value"], rel=1e-3)
+    for words in (("certify", sweep, theirs, "--out", str(tmp_path)), ("report", sweep, theirs)):
+        done = rig(runs, *words)
+        assert done.returncode == 0, done.stderr

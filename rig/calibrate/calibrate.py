@@ -21,12 +21,14 @@ from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
 from rig.calibrate.input_noise import noise_results, scales_of
 from rig.calibrate.joined import joined, of_model
+from rig.calibrate.merging import together
 from rig.calibrate.shaker_runs import ShakerRuns
 from rig.calibrate.turntable_runs import TurntableRuns
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.foreign.tables import is_foreign
+from rig.parts.reading.runs import same_unit
 from rig.sensor import Sensor
 
 _DATA_SHEET = Assumed()
@@ -48,8 +50,22 @@ def calibrate(
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
     """
-    if _imported(runs):
+    foreign, own = [[run for run in runs if is_foreign(run) == kind] for kind in (True, False)]
+    if foreign and own:
+        return _of_both(own, foreign, name, digests, assumed, recorder)
+    if foreign:
         return imported.calibration(runs, name, _sources(runs, digests), assumed or _DATA_SHEET)
+    return _of_bench(runs, name, digests, assumed, recorder)
+
+
+def _of_bench(
+    runs: Sequence[Recorded],
+    name: str,
+    digests: Mapping[str, str] | None,
+    assumed: Assumed | None,
+    recorder: Recorder | None,
+) -> Calibration:
+    """Of the bench's own runs."""
     header = _common_header(runs)
     sensor = Sensor.of(header)
     basis = basis_of(runs, header, recorder_of(runs, sensor, recorder))
@@ -139,15 +155,21 @@ def _paper(shaken: ShakerRuns, basis: Basis) -> Iterator[PaperRow]:
         yield from paper_method.gyro_rows(one, basis.sensor)
 
 
-def _imported(runs: Sequence[Recorded]) -> bool:
-    """Whether the runs are imported ones; BadInput for some that are and some that are not."""
-    foreign, own = [[run.name for run in runs if is_foreign(run) == kind] for kind in (True, False)]
-    if foreign and own:  # values of the one are ratios to what a manifest states, of the other volts per SI
-        raise BadInput(
-            f"{foreign[0]}: found imported data beside {own[0]}, which a bench recorded in volts, wanted either alone: "
-            "ratios to what a manifest states and volts per m/s² are not one measurand"
-        )
-    return bool(foreign)
+def _of_both(
+    own: Sequence[Recorded],
+    foreign: Sequence[Recorded],
+    name: str,
+    digests: Mapping[str, str] | None,
+    assumed: Assumed | None,
+    recorder: Recorder | None,
+) -> Calibration:
+    """Of the bench's own runs and of imported ones in volts; BadInput for imported ones in another unit."""
+    if not same_unit(foreign[0], own[0]):
+        raise BadInput(f"{foreign[0].name}: found another unit than in {own[0].name}, wanted runs of one unit")
+    theirs = imported.calibration(foreign, name, _sources(foreign, digests), assumed or _DATA_SHEET, volts=True)
+    made = together(_of_bench(own, name, digests, assumed, recorder), theirs)
+    sensor = made.under_test
+    return replace(made, results=tuple(_judged(_ordered(made.results, sensor), sensor)))
 
 
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:

@@ -17,14 +17,15 @@ import numpy as np
 from rig.archive.records import Recorded
 from rig.calibrate import imported_noise
 from rig.calibrate.budget import Budget, Contribution
-from rig.calibrate.calibration import Calibration, Result, Source, not_determined, text
+from rig.calibrate.calibration import Calibration, Result, Source, not_determined
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
 from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model
+from rig.calibrate.merging import in_volts, merged
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.fit.fit import POLE_TOLERANCE
-from rig.foreign.manifest import SI_OF, referred_to
+from rig.foreign.manifest import SI_OF, Column, referred_to
 from rig.foreign.tables import CONDITIONS, Foreign, foreign_of
 from rig.parts.channels import UNSTATED
 from rig.parts.part import Part
@@ -32,6 +33,7 @@ from rig.parts.reading.imported import comparable
 from rig.parts.reading.runs import same_unit
 from rig.sensor import Sensor
 
+CHANNELS = ("acceleration", "rate", "voltage", "unstated", "magnitude", "real")  # what gives a channel its numbers
 SENSITIVITY = "sensitivity, ratio to what is stated"
 OFFSET = "zero output above what is stated"
 BANDWIDTH = "corner of the output filter"
@@ -43,13 +45,18 @@ MEANING = (
 NOISE_MEANING = (
     "noise is in SI by the sensitivity that the manifest states, or by the calibrated one where these runs have it"
 )
+MEANING_IN_VOLTS = (
+    "imported values are in volts as their manifests state them: a zero output in V, a sensitivity in V per SI unit"
+)
 BUDGETS = "the budgets hold noise and what the manifest states: nothing of alignment, temperature and drift beyond it"
 HELD_OUT = "values stand on all records, those too that are held out from a diagnosis"
 DATES = "dates are those of the import; the manifest does not say when the records were made"
 
 
-def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], assumed: Assumed) -> Calibration:
-    """One calibration from imported runs of a unit.
+def calibration(
+    runs: Sequence[Recorded], name: str, sources: Sequence[Source], assumed: Assumed, volts: bool = False
+) -> Calibration:
+    """One calibration from imported runs of a unit; `volts`: in V per SI unit, as a bench's own values are.
 
     Records with motion are compared with the model; those at rest give the noise. Raises BadInput for runs of
     different units and for such that determine nothing.
@@ -58,15 +65,22 @@ def calibration(runs: Sequence[Recorded], name: str, sources: Sequence[Source], 
     foreign = {run.name: foreign_of(run) for run in runs}
     moved = [run for run in runs if comparable(foreign[run.name].manifest)]
     still = [data for run, data in foreign.items() if not comparable(data.manifest)]
+    if volts:
+        _refuse_other_than_volts(foreign[run.name] for run in moved)
     found = _Fitted.of(moved, foreign, assumed) if moved else _Fitted()
     header = runs[0].header
     unit = _unit(found.parts, still, header["sensor"])
-    results = list(_judged(_merged(found.results), _tolerances(foreign.values())))
+    results = list(_judged(merged(found.results), _tolerances(foreign.values())))
     results += imported_noise.results(still, Sensor.stated(unit), results)
+    if volts:
+        columns = {one.channel: one for data in foreign.values() for one in data.manifest.of("device")}
+        results = [in_volts(one, columns[one.channel]) if one.channel in columns else one for one in results]
     if not any(result.determined for result in results):
         wanted = "wanted records with motion, or at rest"
         raise BadInput(f"{', '.join(foreign)}: found nothing that determines a value, {wanted}")
-    meanings = [*((MEANING, BUDGETS, HELD_OUT) if moved else ()), *((NOISE_MEANING,) if still else ())]
+    bare = all(one.unit.startswith("V") for one in found.results if one.measurand in ("sensitivity", "offset"))
+    meaning = MEANING_IN_VOLTS if volts or bare else MEANING
+    meanings = [*((meaning, BUDGETS, HELD_OUT) if moved else ()), *((NOISE_MEANING,) if still else ())]
     return Calibration(
         name=name, sensor=" ".join(str(header["sensor"]["model"]).split()) or "imported unit",
         serial=str(header["sensor"]["serial"]), made=max(entry.t for run in runs for entry in run.lines),
@@ -98,6 +112,18 @@ class _Fitted:
         return cls((*results, *of_model(fits, assumed)), model, evidence.parts, evidence.notes)
 
 
+def _refuse_other_than_volts(records: Iterable[Foreign]) -> None:
+    """Ratios to what a manifest states and volts per SI unit are not one measurand, unless the numbers are volts."""
+    for data in records:
+        for one in data.manifest.of("device"):
+            if one.quantity in CHANNELS and one.volts is None:
+                raise BadInput(
+                    f"{data.run}: found {one.channel} in {one.unit or one.sensitivity or 'no unit'} beside runs that a "
+                    "bench recorded in volts, wanted either alone, or a voltage, or a sensitivity in volts such as "
+                    "'0.066 V per m/s²': a ratio to what a manifest states and volts per SI unit are not one measurand"
+                )
+
+
 def _of_one_unit(runs: Sequence[Recorded]) -> None:
     for run in runs[1:]:
         if not same_unit(run, runs[0]):
@@ -116,11 +142,20 @@ def _of_experiment(experiment: Experiment, foreign: Mapping[str, Foreign], assum
     owners = dict.fromkeys(part.run for part in parts)
     reference = "; ".join(dict.fromkeys(referred_to(foreign[run].manifest) for run in owners))
     method = f"model fitted to all records of the {experiment.name} ({assumed.words})"
-    quantities = {one.channel: one.quantity for run in owners for one in foreign[run].manifest.of("device")}
+    columns = {one.channel: one for run in owners for one in foreign[run].manifest.of("device")}
     for name in dict.fromkeys(name for part in parts for name in part.channels.names):
         part = next(part for part in parts if name in part.channels.names)
-        for result in _of_channel(experiment, part, name, SI_OF.get(quantities.get(name, ""), "")):
-            yield replace(result, method=method, reference=reference) if result.determined else result
+        owner = part.run
+        quantity = "" if (column := columns.get(name)) is None else column.quantity
+        for result in _of_channel(experiment, part, name, {**SI_OF, "voltage": "V"}.get(quantity, "")):
+            result = replace(result, method=method, reference=reference) if result.determined else result
+            yield in_volts(result, column) if column is not None and _bare(column, foreign[owner]) else result
+
+
+def _bare(column: Column, data: Foreign) -> bool:
+    """Whether nobody states a sensitivity of numbers that are volts, or volts per m/s²: the ratio is then none."""
+    known = any(one.quantity in ("acceleration", "frequency") for one in data.manifest.of("reference"))
+    return column.sensitivity is None and column.volts is not None and known
 
 
 def _of_channel(experiment: Experiment, part: Part, name: str, unit: str) -> Iterator[Result]:
@@ -159,26 +194,6 @@ def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found
         name, measurand, title, found.value / scale, unit, Budget(tuple(lines)), remarks=said,
         status="flagged" if said else "determined",
     )  # fmt: skip
-
-
-def _merged(results: Iterable[Result]) -> Iterator[Result]:
-    """Of what several experiments determine the best, with the others beside it."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.key, []).append(result)
-    for group in groups.values():
-        best, *others = sorted(group, key=lambda one: one.u if one.determined else math.inf)
-        there = [one for one in others if one.determined]
-        said = tuple(f"{one.method}: {text(one)}" for one in there)
-        apart = best.measurand == "sensitivity" and any(not _agree(best, one) for one in there)
-        said = (*(("experiments differ by more than their uncertainties",) if apart else ()), *said)
-        yield replace(best, remarks=(*best.remarks, *said), status="flagged" if apart else best.status)
-
-
-def _agree(one: Result, other: Result) -> bool:
-    assert one.value is not None
-    assert other.value is not None
-    return abs(one.value - other.value) <= 2.0 * math.hypot(one.u, other.u)
 
 
 def _judged(results: Iterable[Result], tolerances: Mapping[str, float]) -> Iterator[Result]:

@@ -3,8 +3,8 @@
 A calibration merges runs of one unit and is kept in `calibrations/` of the runs folder; an older one is never
 overwritten: a name that is taken gets a number. Imported runs are calibrated by the same commands: a sensitivity is
 then the ratio to what the manifest states (unit `1`), an offset is in SI above the stated zero, and a note says "not
-traceable" unless the manifest names a `standard`. They are not merged with runs of a bench. How measurands are called:
-[measurands](measurands.md).
+traceable" unless the manifest names a `standard`. They are merged with runs of a bench of the same serial number where
+their numbers are volts; values are then in V per SI unit. How measurands are called: [measurands](measurands.md).
 
 `calibrate` and `certify` end with exit code 3 if a value lies outside its limits by more than its expanded uncertainty;
 what was made is written all the same. An inconclusive verdict is not a failure.

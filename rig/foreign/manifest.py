@@ -41,6 +41,7 @@ UNIT_KINDS: dict[str, str] = {
     "phase": "angle", "real": "", "imaginary": "", "excitation": "acceleration", "line_a": "voltage",
     "line_b": "voltage", "index_line": "voltage",
 }  # fmt: skip
+RATIOS = ("magnitude", "real", "imaginary")  # of a response: plain, or in units of a sensitivity
 SI_OF = {"acceleration": "m/s²", "rate": "rad/s"}
 _PER = re.compile(r"\s*([-+0-9.eE]+)\s*(\S+)\s+per\s+(\S.*?)\s*")
 
@@ -279,11 +280,34 @@ class Column(Strict):
         """Numbers of the file per SI unit: value in SI = (number − zero) / scale for what has a plain unit."""
         if self.sensitivity is not None:
             return per(self.sensitivity, self.quantity)
-        kind = UNIT_KINDS[self.quantity]
+        kind = self.unit_kind
         if not kind or not self.unit:
             return 1.0
         unit = units.KINDS[kind].units[self.unit]
         return unit.divide / unit.multiply
+
+    @property
+    def unit_kind(self) -> str:
+        """The kind of unit (rig.units) of its numbers, "" for plain ones; a response may be stated in V per m/s²."""
+        return UNIT_KINDS[self.quantity] or ("sensitivity" if self.quantity in RATIOS and self.unit else "")
+
+    @property
+    def volts(self) -> float | None:
+        """V per SI unit of what is sensed, as stated; 1 for a voltage, of which nobody says; None for other numbers."""
+        if self.quantity == "voltage" or (self.quantity in RATIOS and self.unit):
+            return 1.0
+        factor = self._volts_per_number
+        return None if factor is None else self.scale * factor
+
+    @property
+    def zero_volts(self) -> float:
+        """`zero` in V, of numbers that are volts."""
+        return self.zero / self.scale if self.quantity == "voltage" else self.zero * (self._volts_per_number or 0.0)
+
+    @property
+    def _volts_per_number(self) -> float | None:
+        found = _PER.fullmatch(self.sensitivity or "")
+        return None if found is None else {"V": 1.0, "mV": 1e-3}.get(found[2])
 
 
 class Rotation(Strict):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rig import units
 from rig.errors import ConfigError, Problem
-from rig.foreign.manifest import KINDS, SI_OF, UNIT_KINDS, Manifest, SheetNoise, per
+from rig.foreign.manifest import KINDS, SI_OF, Manifest, SheetNoise, per
 from rig.yaml import config
 from rig.yaml.document import Document
 
@@ -51,7 +51,7 @@ def _of_columns(document: Document, made: Manifest) -> Iterator[Problem]:
         if one.channel in names:
             yield document.problem(at, f"found the channel '{one.channel}' twice, wanted another name")
         names.add(one.channel)
-        kind = UNIT_KINDS[one.quantity]
+        kind = one.unit_kind
         if one.sensitivity is not None:
             try:
                 per(one.sensitivity, one.quantity)

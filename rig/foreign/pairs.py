@@ -431,7 +431,7 @@ def _low_end(data: Foreign, table: Table, frequency: Array, response: NDArray[np
     known = {"9.80665 (g and m/s²)": units.STANDARD_GRAVITY, "1000": 1e3, "57.3 (° and rad)": 180.0 / math.pi,
              "2π (Hz and rad/s)": 2.0 * math.pi}  # fmt: skip
     near = [name for name, k in known.items() for f in (k, 1.0 / k) if abs(size / f - 1.0) < NEAR]
-    if near and abs(size - 1.0) > 1.5 * column.tolerance:
+    if near and not column.unit and abs(size - 1.0) > 1.5 * column.tolerance:
         text = f"{column.channel} is {size:.4g} at the lowest frequencies, a factor of {near[0]} away from one"
         yield Finding("unit", table.label, f"{text}: device and reference may be in different units")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rig import units
 from rig.archive.records import Recorded
 from rig.errors import BadInput
-from rig.foreign.manifest import UNIT_KINDS, Column, Manifest, from_json
+from rig.foreign.manifest import Column, Manifest, from_json
 
 Array = NDArray[np.float64]
 PROCEDURE = "import"
@@ -88,12 +88,10 @@ class Foreign:
     def u(self, table: Table, column: Column) -> Array | None:
         """Standard uncertainty of every number, SI, (n,); None if the manifest states none."""
         if column.uncertainty_column is not None:
-            kind = UNIT_KINDS[column.quantity]
-            scale = column.scale if kind else 1.0
-            return np.asarray(np.abs(table.of(column.uncertainty_column) / scale) / column.coverage, np.float64)
+            return np.asarray(np.abs(table.of(column.uncertainty_column) / column.scale) / column.coverage, np.float64)
         if column.uncertainty is None:
             return None
-        value = units.parse(column.uncertainty, UNIT_KINDS[column.quantity] or "ratio")
+        value = units.parse(column.uncertainty, column.unit_kind or "ratio")
         return np.full(len(table.values), value / column.coverage)
 
 

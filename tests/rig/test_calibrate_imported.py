@@ -210,12 +210,12 @@ def test_of_two_experiments_the_better_counts_and_the_other_stands_beside_it(tmp
     assert len([one for one in made.results if one.key == "gyro_z.sensitivity"]) == 1
 
 
-def test_own_and_imported_runs_are_not_one_calibration(tmp_path: Path) -> None:
+def test_own_and_imported_runs_of_two_units_are_not_one_calibration(tmp_path: Path) -> None:
     foreign = Records(Runs(tmp_path).open(kept(KINDS["response"].made(1), tmp_path)))
 
     class Own:
         name = "own"
-        header: Mapping[str, Any] = {"procedure": "frequency_sweep"}
+        header: Mapping[str, Any] = {"procedure": "frequency_sweep", "sensor": {"serial": "another"}}
 
-    with pytest.raises(BadInput, match="found imported data beside own"):
+    with pytest.raises(BadInput, match="found another unit than in own"):
         calibrate([foreign, Own()], "both")  # type: ignore[list-item]

@@ -200,7 +200,15 @@ def _clock(seen: Observed) -> tuple[Contribution, ...]:
     if not seen.u_time:
         return ()
     return (
-        Contribution("clock between the recorders", "B", "normal", seen.u_time, "s", 0.0, source="magnitudes alone"),
+        Contribution(
+            "clock between the recorders",
+            "B",
+            "normal",
+            seen.u_time,
+            "s",
+            0.0,
+            source="phases against the reference are left open",
+        ),
     )
 
 

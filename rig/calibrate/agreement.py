@@ -101,7 +101,8 @@ def of_response(fit: ChannelFit, parameter: str) -> Direct:
         for one in drawn:
             lines |= one.part.driven_of(one.row, one.noise)
         relative = np.stack([lines[point] for point in points], axis=1) / fit.seen.u_relative
-        return np.asarray(scale * (np.concatenate([relative.real, relative.imag], axis=1) @ weights))
+        parts = [relative.real] if fit.seen.u_time else [relative.real, relative.imag]  # else magnitudes alone
+        return np.asarray(scale * (np.concatenate(parts, axis=1) @ weights))
 
     return changed
 

@@ -53,8 +53,10 @@ class Basis:
         return resting.conditions_of(self.runs).get("temperature")
 
     def flags(self) -> Iterator[str]:
-        if self.recorder != "converter":
-            yield f"{SAID[self.recorder]}: values are direct estimates, a model reads the converter alone"
+        if self.recorder == "cube":
+            yield f"{SAID[self.recorder]}, by a clock of its own"
+        if self.recorder == "scope":
+            yield f"{SAID[self.recorder]}: values are direct estimates, it kept no record at rest to fit a model to"
         if not self.alignment.declared:
             yield "no `alignment` in the bench file of every run: the budgets contain no misalignment"
         for records in self.runs:

@@ -28,9 +28,12 @@ from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.foreign.tables import is_foreign
-from rig.parts.reading.runs import same_unit
+from rig.parts.reading import by_cube
+from rig.parts.reading import runs as reading
+from rig.parts.reading.runs import Reader, same_unit
 from rig.sensor import Sensor
 
+READERS: Mapping[Recorder, Reader] = {"converter": reading.read, "cube": by_cube.read}
 _DATA_SHEET = Assumed()
 
 
@@ -45,7 +48,7 @@ def calibrate(
 
     Values stand on the model `assumed`, fitted to all records of an experiment, with the direct estimates beside them;
     without a model (None) they are the direct estimates. `recorder` is the one to read the sensor from (None: the
-    converter, else the oscilloscope, else the cube); a model reads the converter's records alone.
+    converter, else the oscilloscope, else the cube); no model reads the oscilloscope's records.
 
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
@@ -71,8 +74,8 @@ def _of_bench(
     basis = basis_of(runs, header, recorder_of(runs, sensor, recorder))
     shaken = ShakerRuns(basis)
     turned = TurntableRuns(basis)
-    assumed = assumed if basis.recorder == "converter" else None
-    results, unfitted = _on_model(runs, shaken, turned, assumed)
+    assumed = assumed if basis.recorder in READERS else None
+    results, unfitted = _on_model(runs, shaken, turned, assumed, basis.recorder)
     results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
     results = list(said(results, basis.recorder))
     _refuse_nothing(runs, results)
@@ -101,25 +104,27 @@ def _of_bench(
 
 
 def _on_model(
-    runs: Sequence[Recorded], shaken: ShakerRuns, turned: TurntableRuns, assumed: Assumed | None
+    runs: Sequence[Recorded], shaken: ShakerRuns, turned: TurntableRuns, assumed: Assumed | None, recorder: Recorder
 ) -> tuple[list[Result], tuple[str, ...]]:
     """Results of sweeps and turntable runs, on the fitted model if one is assumed; and why none was fitted."""
     results = [*shaken.results(), *turned.results()]
     if assumed is None:
         return results, ()
-    fits, unfitted = _fitted(runs, assumed)
+    fits, unfitted = _fitted(runs, assumed, recorder)
     direct = {one.key: one for one in (*shaken.direct(), *turned.direct())}
     results = [joined(r, direct[r.key], fits, assumed) if r.key in direct else r for r in results]
     return [*results, *of_model(fits, assumed)], unfitted
 
 
-def _fitted(runs: Sequence[Recorded], assumed: Assumed) -> tuple[dict[str, Experiment], tuple[str, ...]]:
+def _fitted(
+    runs: Sequence[Recorded], assumed: Assumed, recorder: Recorder
+) -> tuple[dict[str, Experiment], tuple[str, ...]]:
     """The model fitted to each experiment; nothing, and why, for runs that no model can be compared with."""
     moved = [run for run in runs if any("frequency" in b or "phase" in b for b in run.points.values())]
     if not moved:
         return {}, ()
     try:
-        return experiments_fitted(evidence_of(moved), assumed), ()
+        return experiments_fitted(evidence_of(moved, READERS[recorder]), assumed), ()
     except BadInput as error:
         return {}, (f"no model was fitted, values are the direct estimates: {error}",)
 

@@ -25,7 +25,7 @@ GRAVITY = "local gravity"
 SEEN = ("wandering common to all poses",)  # lines for what the fit has among its noise
 LINES: Mapping[str, str] = {
     "vibrometer_gain": "vibrometer gain", "ldv_delay": "decoder delay", "filter_cutoff": "low-pass cut-off",
-    "output_filter": "output filter",
+    "output_filter": "output filter", "recorder_clock": "clock between the recorders",
 }  # fmt: skip
 """Lines of the direct estimators' budgets for what the fit has as priors."""
 NEGLIGIBLE = 1e-3  # of u: a prior with a smaller share has no line of its own
@@ -107,7 +107,10 @@ def _lines(result: Result, estimate: Estimate, factor: float) -> Iterator[Contri
     """The budget of the direct estimate with the fit's shares."""
     assert result.budget is not None
     assert result.value is not None
-    pulls = {_line_of(one): one for one in estimate.pulls}
+    pulls: dict[str, Pull] = {}
+    for one in estimate.pulls:
+        name = _line_of(one)
+        pulls[name] = _with(pulls[name], one) if name in pulls else one
     scale = estimate.value / result.value
     for line in result.budget.contributions:
         if line.name in NOISE:
@@ -130,7 +133,14 @@ def _lines(result: Result, estimate: Estimate, factor: float) -> Iterator[Contri
 
 def _line_of(pull: Pull) -> str:
     """What the direct estimators call it."""
-    return GRAVITY if pull.name.startswith(f"{GRAVITY} of ") else LINES.get(pull.name, pull.name)
+    if pull.name.startswith(f"{GRAVITY} of "):
+        return GRAVITY
+    return LINES["recorder_clock"] if pull.name.startswith("recorder_clock") else LINES.get(pull.name, pull.name)
+
+
+def _with(one: Pull, other: Pull) -> Pull:
+    """Two priors of one kind together: every record's own instant."""
+    return Pull(one.name, one.u, math.hypot(one.coefficient, other.coefficient * other.u / one.u))
 
 
 def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Result]:

@@ -19,7 +19,7 @@ from rig.calibrate.calibration import Result
 from rig.calibrate.cube_route import at_rest
 from rig.calibrate.fitted import Assumed, alone
 from rig.calibrate.joined import joined
-from rig.calibrate.tumbling import Poses, UnitFit
+from rig.calibrate.tumbling import Poses, Read, UnitFit
 from rig.errors import BadInput
 from rig.parts.poses import Poses as PosesPart
 from rig.parts.reading.tumble import tumbled
@@ -46,19 +46,19 @@ def results(basis: Basis, assumed: Assumed | None) -> Iterator[Result]:
     for records in basis.runs:
         poses = tumbling.poses_in(records, basis.noise, basis.alignment.mount, read)
         if poses is not None:
-            model = None if assumed is None else _model(poses, assumed)
+            model = None if assumed is None else _model(poses, assumed, read)
             for unit in filter(poses.has, basis.sensor.of_quantity("acceleration")):
                 yield from _of_unit(poses, unit, model)
 
 
-def _model(poses: Poses, assumed: Assumed) -> _Model:
+def _model(poses: Poses, assumed: Assumed, read: Read) -> _Model:
     try:
         triad.check_spread(poses.up)
     except BadInput:
         why = f"{len(poses.bodies)} poses leave the angles between the axes open (`rig tumble --poses 24`)"
         return _Model(assumed, (), why)
     try:
-        return _Model(assumed, tuple(PosesPart(data) for data in tumbled(poses.records)), NO_TRIAD)
+        return _Model(assumed, tuple(PosesPart(data) for data in tumbled(poses.records, read=read)), NO_TRIAD)
     except BadInput as error:
         return _Model(assumed, (), str(error))
 

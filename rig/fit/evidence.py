@@ -13,6 +13,7 @@ from rig.fit.fit import Fit, State, begin, fit
 from rig.model import Term
 from rig.parts.part import Part
 from rig.parts.reading import runs as reading
+from rig.parts.reading.runs import Reader
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,12 @@ class Evidence:
         return fit(self.parts, self.start(terms, poles=poles, shared=shared))
 
 
-def evidence_of(runs: Sequence[Recorded]) -> Evidence:
-    """Read the runs of one unit. Raises BadInput for runs of several units, or that no model can be compared with."""
+def evidence_of(runs: Sequence[Recorded], read: Reader = reading.read) -> Evidence:
+    """Read the runs of one unit, by the converter unless `read` has another recorder. Raises BadInput for runs of
+    several units, or that no model can be compared with.
+    """
     _of_one_unit(runs)
-    found = reading.read(runs)
+    found = read(runs)
     if not found.parts:
         names = ", ".join(run.name for run in runs)
         wanted = "wanted a sweep, a turntable run, a tumble or a record at rest"

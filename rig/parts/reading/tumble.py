@@ -6,8 +6,9 @@ are no triad and no gyros, as of a sensor with one axis, are left out and named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,18 @@ def read(runs: Sequence[Recorded]) -> Reading:
     return Reading(tuple(parts))
 
 
-def tumbled(records: Recorded, number: int = 0) -> Iterator[PoseRecords]:
+Read = Callable[[Recorded, Mapping[str, Any]], Signals | None]
+"""What a recorder of the sensor kept of a pose; None if nothing."""
+
+
+def by_converter(records: Recorded, body: Mapping[str, Any]) -> Signals | None:
+    """The converter's record of a pose."""
+    return signals(records.samples(str(body["samples"]))) if "samples" in body else None
+
+
+def tumbled(records: Recorded, number: int = 0, read: Read = by_converter) -> Iterator[PoseRecords]:
     """Each unit of the sensor in all poses. Raises BadInput for a channel that shows one number throughout."""
-    found = [windows(signals(records.samples(str(b["samples"])))) for _, b in poses_of(records) if "samples" in b]
+    found = [windows(one) for _, body in poses_of(records) if (one := read(records, body)) is not None]
     if not found:
         return
     channels = channels_of(records, found[0].names)

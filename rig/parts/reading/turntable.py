@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,7 +50,8 @@ class _Record:
 
     label: str
     kind: str
-    start: float
+    names: tuple[str, ...]
+    start: float  # bench clock at the first window of the record, s
     first: int  # window
     means: Array  # (channels, n)
     counted: Shown
@@ -79,57 +80,76 @@ def spun(records: Recorded) -> list[PlatterRecords]:
 
     Raises BadInput if the encoder cannot be read.
     """
-    return reduced(records, "turntable", (PlatterRecords, Channels, Shown, noise.NoiseModel), lambda: _spun(records))
+    kinds = (PlatterRecords, Channels, Shown, noise.NoiseModel)
+
+    def wired() -> Channels:
+        return channels_of(records, list(records.header["bench_file"]["cables"]["turntable"]))
+
+    return reduced(records, "turntable", kinds, lambda: spun_from(records, _by_converter, wired))
 
 
-def _spun(records: Recorded) -> list[PlatterRecords]:
-    cables = list(records.header["bench_file"]["cables"]["turntable"])
+@dataclass(frozen=True)
+class Windows:
+    """Means of channels over the windows of one record, (names, n), V, which begin at `start` on the bench's clock, s,
+    `later` than the converter's record, s; `interval` of its scans, s; samples `clipped` by name.
+    """
+
+    names: tuple[str, ...]
+    means: Array
+    start: float
+    interval: float
+    later: float
+    clipped: Mapping[str, int]
+
+
+Read = Callable[[Recorded, Mapping[str, Any]], Iterable[Windows]]
+"""Windows of a record of the journal as a recorder of the sensor has them, a stretch without gaps after the other."""
+
+
+def spun_from(records: Recorded, read: Read, channels: Callable[[], Channels]) -> list[PlatterRecords]:
+    """The same with the sensor's channels as `read` gives them."""
     made: list[PlatterRecords] = []
     for one in experiments(records):
-        found = list(_records(one))
+        found = list(_records(one, read))
         if any(record.kind != "rest" for record in found):
             name = f"{records.name}#turntable{len(made) + 1 if made else ''}"
-            made.append(_joined(one, name, channels_of(one, cables), _at_rest(found)))
+            made.append(_joined(one, name, channels(), _at_rest(found)))
     return made
 
 
-def _records(records: Recorded) -> Iterator[_Record]:
+def _records(records: Recorded, read: Read) -> Iterator[_Record]:
     settings = encoder_settings(records.lines)
-    names = _names(records)
     moved = False
     for entry, mount in mounts(records):
         body = entry.body
         moved |= entry.kind == "prepared"  # brought to rest when the run went on: not where the record before was made
         if entry.kind != "point" or mount is None or mount["place"] != "turntable" or "samples" not in body:
             continue
-        means, start, interval, skew, clipped = _windows(records, str(body["samples"]), names)
-        if str(body.get("purpose", "")).startswith("rest_"):
-            still = np.zeros(means.shape[1])
-            shown = Shown(np.full(len(still), math.nan), still, still)
-            yield _Record(str(body["label"]), "rest", start, 0, means, shown, shown, 0, 0, mount,
-                          (math.nan, math.nan), clipped)  # fmt: skip
-        elif "phase" in body:
-            edges = edges_of(records.pieces(body["samples"]), settings)
-            one = _moving(body, start, interval, skew, means, edges, mount, clipped)
-            yield replace(one, ends=(math.nan, one.ends[1])) if moved else one
-            moved = False
+        for found in read(records, body):
+            if str(body.get("purpose", "")).startswith("rest_"):
+                still = np.zeros(found.means.shape[1])
+                shown = Shown(np.full(len(still), math.nan), still, still)
+                yield _Record(str(body["label"]), "rest", found.names, found.start, 0, found.means, shown, shown, 0, 0,
+                              mount, (math.nan, math.nan), found.clipped)  # fmt: skip
+            elif "phase" in body:
+                edges = edges_of(records.pieces(body["samples"]), settings)
+                one = _moving(body, found, edges, mount)
+                yield replace(one, ends=(math.nan, one.ends[1])) if moved else one
+                moved = False
 
 
-def _names(records: Recorded) -> list[str]:
+def _by_converter(records: Recorded, body: Mapping[str, Any]) -> Iterator[Windows]:
+    """Sensors among the cables, supply and temperature."""
     cables = list(records.header["bench_file"]["cables"]["turntable"])
     sensor, wires = Sensor.of(records.header), wires_of(records)
-    return [name for name in cables if name in sensor or name in (wires.supply, wires.temperature)]
-
-
-def _windows(records: Recorded, block: str, names: Sequence[str]) -> tuple[Array, float, float, float, dict[str, int]]:
-    """Means (names, n) V, start s, interval between scans s, mean delay of the sensors in the scan s, clipped."""
+    names = [name for name in cables if name in sensor or name in (wires.supply, wires.temperature)]
     sums: list[Array] = []
     start = interval = skew = 0.0
     clipped: dict[str, int] = {}
     rest: NDArray[np.uint16] | None = None
     columns: list[int] = []
     scale = np.zeros((2, len(names)))
-    for piece in records.pieces(block):
+    for piece in records.pieces(str(body["samples"])):
         if not columns:
             columns = [piece.index(n) for n in names]
             low = np.array([piece.channels[c].low for c in columns])
@@ -143,8 +163,8 @@ def _windows(records: Recorded, block: str, names: Sequence[str]) -> tuple[Array
         whole = len(counts) // WINDOW
         sums.append(counts[: whole * WINDOW].reshape(whole, WINDOW, -1).mean(axis=1))
         rest = counts[whole * WINDOW :].copy()
-    means = np.concatenate(sums).T
-    return scale[0][:, None] + scale[1][:, None] * means, start, interval, skew, clipped
+    means = scale[0][:, None] + scale[1][:, None] * np.concatenate(sums).T
+    yield Windows(tuple(names), means, start, interval, skew, clipped)
 
 
 def _count_clipped(counts: NDArray[np.uint16], names: Sequence[str], clipped: dict[str, int]) -> None:
@@ -154,13 +174,10 @@ def _count_clipped(counts: NDArray[np.uint16], names: Sequence[str], clipped: di
             clipped[name] = clipped.get(name, 0) + n
 
 
-def _moving(
-    body: Mapping[str, Any], start: float, interval: float, skew: float, means: Array, edges: Edges,
-    mount: Mapping[str, Any], clipped: Mapping[str, int],
-) -> _Record:  # fmt: skip
+def _moving(body: Mapping[str, Any], found: Windows, edges: Edges, mount: Mapping[str, Any]) -> _Record:
     times, missing = _restored(edges)
     whole = replace(edges, times=times, index_line=_shifted(edges.index_line, missing))
-    bounds = (np.arange(means.shape[1] + 1) * WINDOW - 0.5) * interval + skew
+    bounds = (np.arange(found.means.shape[1] + 1) * WINDOW - 0.5) * found.interval + found.later
     tracks = (edges, whole) if missing.any() else (whole,)
     shown = [_shown(one, bounds, body["phase"] == "hold") for one in tracks]
     inside = shown[-1][1]
@@ -169,8 +186,8 @@ def _moving(
     last = anchor + whole.sense * 2.0 * math.pi * (len(times) - 1) / LINES
     notes = tuple(f"{body['label']}: {count} lines between index pulses" for count in edges.flagged)
     return _Record(
-        str(body["label"]), str(body["phase"]), start, int(inside.start), means[:, inside], kept[0], kept[-1],
-        int(missing.sum()), len(times), mount, (anchor, last), clipped, notes,
+        str(body["label"]), str(body["phase"]), found.names, found.start, int(inside.start), found.means[:, inside],
+        kept[0], kept[-1], int(missing.sum()), len(times), mount, (anchor, last), found.clipped, notes,
     )  # fmt: skip
 
 
@@ -279,11 +296,11 @@ def _at_rest(found: Sequence[_Record]) -> list[_Record]:
 
 
 def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_Record]) -> PlatterRecords:
+    names, wires = list(found[0].names), wires_of(records)
     interval = WINDOW * _scan_period(records)
     lengths = [one.means.shape[1] for one in found]
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
     slices = tuple(itertools.pairwise(bounds))
-    names, wires = _names(records), wires_of(records)
     means = np.concatenate([one.means for one in found], axis=1)
     sensors = np.array([names.index(n) for n in channels.names])
     counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))

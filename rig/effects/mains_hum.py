@@ -1,7 +1,7 @@
 """Mains hum: the mains frequency and its third harmonic are added in the wiring.
 
-Phases count from a mains clock of exactly the nominal frequency that starts with the first record; the true mains is
-`offset` away, so its phase moves on from record to record.
+Phases are those in a whole second of the bench clock, if the mains had exactly the nominal frequency; the true mains is
+`offset` away, so its phase moves on from record to record, beginning with the first.
 """
 
 import math

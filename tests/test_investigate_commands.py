@@ -221,8 +221,16 @@ def test_the_demonstration_hides_an_effect_that_the_bench_reveals(tmp_path: Path
         found = asked(runs, "demo", "hidden", "--seed", "3", "--yes", "--bench", str(bench))
         assert set(found) == {"runs"}
         assert sorted(found["runs"]) == _taken(runs)
-        effects = asked(runs, "bench", "reveal", "--bench", str(bench))["effects"]
-        assert len(effects) == 1
+        (hidden,) = effects = asked(runs, "bench", "reveal", "--bench", str(bench))["effects"]
+        assert hidden["found"] is None
+        on = ("--on", hidden["quantity"]) if hidden["quantity"] else ()
+        said(runs, "add", hidden["name"], *found["runs"], *on)
+        (hidden,) = asked(runs, "bench", "reveal", "--bench", str(bench))["effects"]
+        assert set(hidden["found"]) <= set(hidden["parameters"])
+        for name, value in hidden["found"].items():
+            assert abs(value["value"] - hidden["parameters"][name]) < 4.0 * value["u"], name
+            assert value["unit"] == hidden["units"][name]
+        assert "found" in said(runs, "bench", "reveal", "--bench", str(bench))
         with pytest.raises(BadInput, match="use another folder") as refused:
             said(runs, "demo", "hidden", "--seed", "4", "--yes", "--bench", str(bench))
         assert effects[0]["name"] not in str(refused.value)

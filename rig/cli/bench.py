@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli.onward import command, say_next
-from rig.cli.options import bench_option, bench_path, json_option, print_json, runs_option
+from rig.cli.options import MODEL, bench_option, bench_path, effects_option, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
     from rig.bench.assembly import Bench
@@ -185,25 +185,37 @@ def serve(bench: Path | None, runs: Path, as_json: bool, hidden_seed: int | None
 
 @bench.command()
 @bench_option
+@MODEL
+@effects_option
 @runs_option
 @json_option
-def reveal(bench: Path | None, runs: Path, as_json: bool) -> None:
-    """Tell what the simulated world hides, with its strength d′.
+def reveal(bench: Path | None, model: Path | None, effects: Path | None, runs: Path, as_json: bool) -> None:
+    """Tell what the simulated world hides, with its strength d′, and beside it what a model has found of it.
+
+    Both are SI in the same convention: amplitudes from zero to peak, densities one-sided, and what counts from the
+    beginning of a run (a warm-up) from that of the model's runs. Found values have their expanded uncertainty (k = 2).
 
     \f
-    `--json` gives `{"effects": []}`, of each effect `name`, `stage`, `parameters` (SI) and `d_prime`.
+    `--json` gives `{"effects": []}`, of each effect `name`, `stage`, `quantity` (of the channels it acts on, or
+    `null`), `parameters` (true, SI), `units`, `d_prime`, and `found`: by parameter `value`, `unit` and `u`, or `null`
+    where it is not in the model.
     """
     from rig.bench import assembly
     from rig.bench.benchfile import describe
     from rig.bench.control import Control
+    from rig.cli import truth
+    from rig.shelf import shelf
 
-    addresses = assembly.start_simulated(describe(bench_path(bench)), runs)
+    description = describe(bench_path(bench))
+    held = truth.model_of(description, runs, model)
+    addresses = assembly.start_simulated(description, runs)
     with Control(int(str(addresses["control"]))) as control:
-        effects = control.ask("reveal")["effects"]
+        hidden = control.ask("reveal", begun=truth.begun(held, runs))["effects"]
+    found = truth.beside(hidden, held, shelf(effects))
     if as_json:
-        print_json({"effects": effects})
-    elif not effects:
+        print_json({"effects": found})
+        return
+    for one in found:
+        click.echo("\n".join(truth.in_words(one, modelled=held is not None)))
+    if not found:
         click.echo("nothing is hidden: this is a clean world")
-    for effect in effects if not as_json else ():
-        values = ", ".join(f"{name} {value}" for name, value in effect["parameters"].items())
-        click.echo(f"{effect['name']} ({effect['stage']}): {values}; d′ {effect['d_prime']:.1f}")

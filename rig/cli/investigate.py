@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli.onward import BOTH, carry, carrying, command, completed, say_next
-from rig.cli.options import bench_option, bench_path, effects_option, json_option, print_json, runs_option
-from rig.cli.repair import MODEL, RUN_NAMES, START, Opened, adding, model_options, opened
+from rig.cli.options import MODEL, bench_option, bench_path, effects_option, json_option, print_json, runs_option
+from rig.cli.repair import RUN_NAMES, START, Opened, adding, model_options, opened
 
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts

@@ -13,6 +13,13 @@ import click
 from rig.cli.onward import Carried
 
 F = TypeVar("F", bound=Callable[..., Any])
+MODEL = click.option(
+    "--model",
+    cls=Carried,
+    type=click.Path(dir_okay=False, path_type=Path),
+    show_default="models/<serial>.yaml of the runs folder",
+    help="Model file.",
+)
 
 
 def bench_option(command: F) -> F:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from rig.cli.onward import Carried, command, completed, say_next
-from rig.cli.options import effects_option, json_option, print_json, runs_option
+from rig.cli.options import MODEL, effects_option, json_option, print_json, runs_option
 
 if TYPE_CHECKING:
     from rig.diagnose.conclusion import Candidate, Conclusion
@@ -31,13 +31,6 @@ NEAR = 0.5  # of the excess that the nearest on the shelf explains: worth trying
 RUN_NAMES = click.argument("names", metavar="RUN...", nargs=-1, required=True)
 MODEL_STARTS = ("datasheet", "paper", "shared")
 EFFECT = click.argument("effect", metavar="EFFECT")
-MODEL = click.option(
-    "--model",
-    cls=Carried,
-    type=click.Path(dir_okay=False, path_type=Path),
-    show_default="models/<serial>.yaml of the runs folder",
-    help="Model file.",
-)
 START = click.option(
     "--start",
     cls=Carried,

@@ -1,0 +1,85 @@
+"""What the simulated world hides beside what was found of it: the same parameters, in the same units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.bench.benchfile import BenchDescription
+    from rig.model import Effect
+    from rig.repair.model_file import Entry, Model
+
+PLACES = {"frequency_sweep": "shaker", "turntable": "turntable"}  # where a procedure shows things
+
+
+def model_of(description: BenchDescription, runs: Path, given: Path | None) -> Model | None:
+    """The model that is held against the truth: the one named, else that of the bench's unit, if there is one."""
+    from rig.repair.model_file import load, path_of
+
+    path = given or path_of(runs, description.sensor.serial)
+    return load(path) if given is not None or path.exists() else None
+
+
+def begun(model: Model | None, runs: Path) -> dict[str, float]:
+    """Bench clock of the first record at each place among the runs of a model, as far as they are still there."""
+    from rig.notebook import records_of
+
+    names = [name for name in (model.runs if model is not None else ()) if (runs / name).is_dir()]
+    found: dict[str, float] = {}
+    for records in records_of(names, runs) if names else ():
+        place = PLACES.get(str(records.header.get("procedure")))
+        metas = [entry.body["meta"] for entry in records.lines if entry.kind == "block"]
+        starts = [float(meta["start"]) for meta in metas if "convert_period" in meta]
+        if place and starts:
+            found[place] = min([*starts, found.get(place, starts[0])])
+    return found
+
+
+def beside(effects: Sequence[Mapping[str, Any]], model: Model | None, shelf: Mapping[str, Effect]) -> list[Any]:
+    """Hidden effects with `units`, and with `found`: value, unit and u by parameter, None if a model lacks it."""
+    return [{**one, "units": _units(one, shelf), "found": _found(one, model)} for one in effects]
+
+
+def _units(one: Mapping[str, Any], shelf: Mapping[str, Effect]) -> dict[str, str]:
+    effect = shelf.get(str(one["name"]))
+    if effect is None:
+        return {}
+    quantity = one["quantity"] or (effect.quantities[0] if effect.quantities else None)
+    return dict(zip((p.name for p in effect.parameters), effect.units(quantity), strict=True))
+
+
+def _found(one: Mapping[str, Any], model: Model | None) -> dict[str, Any] | None:
+    entries = model.effects if model is not None else ()
+    entry = next((entry for entry in entries if _same(entry, one)), None)
+    return None if entry is None else {name: value.model_dump() for name, value in entry.parameters.items()}
+
+
+def _same(entry: Entry, one: Mapping[str, Any]) -> bool:
+    return entry.effect == one["name"] and (entry.on is None or one["quantity"] in (None, entry.on))
+
+
+def in_words(one: Mapping[str, Any], *, modelled: bool) -> Iterator[str]:
+    """Lines for one hidden effect: its name and strength, then a row for each parameter."""
+    on = f", {one['quantity']}" if one["quantity"] else ""
+    yield f"{one['name']} ({one['stage']}{on}), d′ {one['d_prime']:.1f}"
+    found, width = one["found"], max(map(len, one["parameters"]), default=0)
+    if modelled and found is None:
+        yield "  not in the model"
+    for name, value in one["parameters"].items():
+        unit = one["units"].get(name, "")
+        shown = f"  {name:<{width}}  true {_number(value, unit)}"
+        yield shown + (f"  found {_estimate(found[name])}" if found and name in found else "")
+
+
+def _number(value: float, unit: str, digits: int = 5) -> str:
+    return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
+
+
+def _estimate(one: Mapping[str, Any]) -> str:
+    """With its expanded uncertainty (k = 2)."""
+    if one["u"] is None:
+        return _number(one["value"], one["unit"])
+    expanded = _number(2.0 * one["u"], one["unit"], digits=2)
+    return f"{one['value']:.5g} ± {expanded}"

@@ -19,7 +19,7 @@ from rig.calibrate import imported_noise
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, Result, Source, not_determined
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
-from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model
+from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model, spoilt
 from rig.calibrate.merging import in_volts, merged
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
@@ -189,7 +189,7 @@ def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found
             called[label] = called.get(label, 0) + 1
             label = label if called[label] == 1 else f"{label} ({called[label]})"
             lines.append(Contribution(label, "B", "normal", pull.u, "1", pull.coefficient / scale, source="stated"))
-    said = () if experiment.worst is None else (inadequate(experiment, factor),)
+    said = (() if experiment.worst is None else (inadequate(experiment, factor),)) + spoilt(experiment)
     return Result(
         name, measurand, title, found.value / scale, unit, Budget(tuple(lines)), remarks=said,
         status="flagged" if said else "determined",

@@ -28,6 +28,7 @@ LINES: Mapping[str, str] = {
     "output_filter": "output filter", "recorder_clock": "clock between the recorders",
 }  # fmt: skip
 """Lines of the direct estimators' budgets for what the fit has as priors."""
+FEW = 3  # sentences on faults of records that a remark holds
 NEGLIGIBLE = 1e-3  # of u: a prior with a smaller share has no line of its own
 RELATIVE = ("1", "m")  # units of inputs whose coefficient goes with the value: relative ones, and a radius
 LEVEL = 0.1  # of gravity along an axis that lies level
@@ -143,6 +144,17 @@ def _with(one: Pull, other: Pull) -> Pull:
     return Pull(one.name, one.u, math.hypot(one.coefficient, other.coefficient * other.u / one.u))
 
 
+def spoilt(experiment: Experiment) -> tuple[str, ...]:
+    """What is to be said of samples that are no measurement: what made them may have changed others too."""
+    found = tuple(dict.fromkeys(one for part in experiment.fit.parts for one in part.faults))
+    return (f"samples that are no measurement: {'; '.join(found[:FEW])}",) if found else ()
+
+
+def doubts(experiment: Experiment) -> tuple[str, ...]:
+    """Why a value that stands on an experiment is flagged; nothing if it is not."""
+    return (() if experiment.worst is None else (inadequate(experiment, 1.0),)) + spoilt(experiment)
+
+
 def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Result]:
     """Parameters of the model's own effects, from every experiment in which they act."""
     for experiment in fits.values():
@@ -156,6 +168,5 @@ def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Resul
                         term.on or term.effect.stage, f"{term.effect.name}_{name}", f"{term.effect.title}: {name}",
                         one.value, one.unit, Budget((line,)), f"model fitted to all records of the {experiment.name}",
                         "the references of those records",
-                        status="determined" if experiment.worst is None else "flagged",
-                        remarks=() if experiment.worst is None else (inadequate(experiment, 1.0),),
+                        status="flagged" if (said := doubts(experiment)) else "determined", remarks=said,
                     )  # fmt: skip

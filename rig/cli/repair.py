@@ -265,9 +265,8 @@ def diagnose(
 
     \f
     `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`), `groups` as `rig compare` does, `untold`
-    (those of them whose noise is known only from what the model leaves over: on these no `adequate` stands), `faults`
-    (sentences on samples that are no measurement and were left out),
-    `candidates` best
+    (groups with all steps taken whose noise is known only from what the model leaves over: on these no `adequate`
+    stands), `faults` (sentences on samples that are no measurement and were left out), `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
     `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
     was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, `why`), `description` and `cannot_see`.

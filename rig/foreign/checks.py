@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rig.foreign import lines as foreign_lines
 from rig.foreign import pairs as foreign_pairs
 from rig.foreign import turns
-from rig.foreign.faults import FROZEN, STILL, faults, listed, runs
+from rig.foreign.faults import FROZEN, GAP, STILL, faults, listed, runs
 from rig.foreign.manifest import KINDS
 from rig.foreign.pairs import Finding
 from rig.foreign.tables import Foreign, Table
@@ -28,8 +28,6 @@ __all__ = ["Finding", "findings"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-GAP = 1.5  # times the usual interval
-SHOWN = 3  # row numbers that a sentence lists
 RATES = (5.0, 2e5)  # Hz, between which inertial sensors are logged
 JITTER = 0.005  # standard deviation of a time stamp worth a word, of the interval
 DROPPED = 5  # whole rows that repeat

@@ -25,7 +25,6 @@ Rows = NDArray[np.intp]
 Kind = Literal["marks", "alone", "clipped", "frozen", "reference_step"]
 SHOWN = 3  # row numbers that a sentence lists
 FROZEN = 20  # rows of one value that are looked at
-LONGEST = 3  # rows of a glitch; what lasts longer is motion, or a stretch of its own
 GAP = 1.5  # times the usual interval
 # what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
 STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "temperature", "line_a", "line_b",

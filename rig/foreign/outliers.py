@@ -74,20 +74,34 @@ def _by_jumps(values: Array) -> Rows:
     """Rows that jump from both neighbours far more than any other row does, (k,); none where many do.
 
     The jump of a row is its distance from the middle one of itself and its neighbours. Of noise, and of a motion that
-    is sampled as it should be, the largest jumps differ little.
+    is sampled as it should be, the largest jumps differ little. A row whose jump is only to one of these stays.
     """
     rows = np.flatnonzero(np.isfinite(values))
     known = values[rows]
     if len(known) < FEWEST:
         return rows[:0]
-    before, here, after = known[:-2], known[1:-1], known[2:]
-    jumps = np.abs(here - np.median(np.stack([before, here, after]), axis=0))
+    jumps = _jumps(known)
     order = np.argsort(jumps)[::-1]
     top = jumps[order[: FEW + 1]]
-    wide = np.flatnonzero(top[:-1] > ALONE * top[1:])
-    if not len(wide) or top[wide[-1] + 1] <= 0.0:
+    wide = np.flatnonzero(top[:-1] > ALONE * np.maximum(top[1:], _smallest(known)))
+    if not len(wide):
         return rows[:0]
-    return np.sort(rows[1:-1][order[: wide[-1] + 1]])
+    flagged = np.sort(order[: wide[-1] + 1] + 1)
+    limit = ALONE * max(float(top[wide[-1] + 1]), _smallest(known))
+    rest = np.delete(np.arange(len(known)), flagged)
+    between = np.interp(flagged, rest, known[rest])
+    return np.sort(rows[flagged[np.abs(known[flagged] - between) > limit]])
+
+
+def _jumps(known: Array) -> Array:
+    """Distance of every row but the ends from the middle one of itself and its neighbours, (n − 2,)."""
+    before, here, after = known[:-2], known[1:-1], known[2:]
+    return np.asarray(np.abs(here - np.median(np.stack([before, here, after]), axis=0)))
+
+
+def _smallest(known: Array) -> float:
+    """The smallest step between two values."""
+    return float(np.min(np.diff(np.unique(known)), initial=np.inf))
 
 
 def _by_span(values: Array) -> Rows:

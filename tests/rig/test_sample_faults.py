@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import imported_runs
 import imported_sweeps
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from imported_worlds import Unit, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
+from rig.errors import BadInput
 from rig.foreign.faults import Fault, faults
 from rig.foreign.tables import Foreign
 from rig.parts.track import TrackedMotion
@@ -57,6 +59,11 @@ def stuck(values: Array) -> Array:
     return values
 
 
+def stretch(values: Array) -> Array:
+    values[1350:3850] = values[1350]
+    return values
+
+
 def jumped(values: Array) -> Array:
     values[3333:] = np.mod(values[3333:] - 0.2, 2.0 * math.pi)
     return values
@@ -82,7 +89,12 @@ def test_what_is_no_measurement_is_found_in_its_rows_and_nowhere_else(case: str)
     assert total == pytest.approx(rows, rel=0.05) if rows else total > 100
 
 
-@pytest.mark.parametrize("case", CASES)
+def test_a_gyro_that_is_cut_off_at_every_swing_leaves_nothing_to_compare_and_that_is_said() -> None:
+    with pytest.raises(BadInput, match=r"found nothing but rest between its gaps, .*gyro_z: clipped at the top"):
+        evidence(spoilt(turned(), "gyro_z", lambda values: np.clip(values, -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case != "cut off"])
 def test_a_record_with_it_is_not_called_adequate_and_gives_the_sensitivity_all_the_same(case: str) -> None:
     name, change, _, _ = CASES[case]
     bad = evidence(spoilt(turned(), name, change))
@@ -129,3 +141,36 @@ def test_a_sweep_is_fitted_without_such_samples(change: Callable[[Array], Array]
     u = math.sqrt(fits[0].covariance[(z := fits[0].layout.gains["board"]), z])
     assert gains[1] == pytest.approx(gains[0], abs=2.0 * u)
     assert diagnose(evidence(bad)).verdict != "adequate"
+
+
+def test_rows_that_are_filled_in_make_no_sweep_more_certain() -> None:
+    clean = imported_sweeps.made()
+    bad = spoilt(clean, "board", stretch)
+    assert found(bad)
+    u = [
+        math.sqrt(fit.covariance[(z := fit.layout.gains["board"]), z])
+        for fit in (evidence(clean).fitted(), evidence(bad).fitted())
+    ]
+    assert 1.02 < u[1] / u[0] < 1.6
+
+
+def test_a_pose_is_fitted_without_a_row_that_stands_for_nothing() -> None:
+    clean = imported_runs.posed(1, gain=np.ones(3), zero=np.zeros(3))
+    bad = spoilt(clean, "acc_x", put([int(len(clean.tables[0].values) // 2)], -99999.0))
+    gains = [list(evidence(one).fitted().state.gain.values()) for one in (clean, bad)]
+    assert gains[1] == pytest.approx(gains[0], abs=5e-4)
+
+
+def test_the_noise_of_a_case_that_swings_a_little_while_it_rests_is_not_its_motion() -> None:
+    foreign = turned(3)
+    (table,) = foreign.tables
+    t, values = table.of("t"), table.values.copy()
+    swing = np.where(t < 10.0, 0.016 * np.sin(2.0 * np.pi * t), 0.0)
+    values[:, table.names.index("gyro_z")] += GAIN * swing
+    turn = np.where(t < 10.0, 0.016 * (1.0 - np.cos(2.0 * np.pi * t)) / (2.0 * np.pi), 0.0)
+    values[:, table.names.index("angle")] = np.mod(values[:, table.names.index("angle")] + turn, 2.0 * np.pi)
+    part = evidence(replace(foreign, tables=(replace(table, values=values),))).parts[0]
+    assert isinstance(part, TrackedMotion)
+    known = part.known(2)
+    assert known is not None
+    assert math.sqrt(float(known.model.density(3.0)) * 50.0) == pytest.approx(2e-3, rel=0.35)

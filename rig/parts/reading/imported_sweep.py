@@ -63,6 +63,7 @@ class _Record:
     harmonics: Complexes  # 1 … k of the drive at common instants, (1 + c, k)
     lines: Separated
     leftover: Leftover
+    lost: Array  # share of the rows that are no measurement, (1 + c,)
 
     @property
     def seconds(self) -> float:
@@ -120,7 +121,8 @@ def _record(foreign: Foreign, table: Table, columns: Sequence[Column], before: _
     leftover = _leftover(lines.left + lines.hum, 1.0 / interval, begin, frequency or None, delay)
     at = np.asarray(frequency * np.arange(1, lines.harmonics.shape[1] + 1), np.float64)
     harmonics = _turned(lines.harmonics.T, at, delay).T
-    return _Record(table, t, values, 1.0 / interval, begin, nominal, frequency, delay, harmonics, lines, leftover)
+    return _Record(table, t, values, 1.0 / interval, begin, nominal, frequency, delay, harmonics, lines, leftover,
+                   faulty.mean(axis=0))  # fmt: skip
 
 
 def _whole(foreign: Foreign, table: Table, columns: Sequence[Column]) -> tuple[Array, NDArray[np.bool_]]:
@@ -372,6 +374,9 @@ def _noise(records: Sequence[_Record]) -> tuple[Array, Array]:
             power = 0.5 * np.mean(np.abs(left) ** 2, axis=0)
             shared[p, k] = _common(left, ratio)
             own[:, p, k] = np.maximum(power - shared[p, k] * np.abs(ratio) ** 2, 0.1 * power)
+        # rows that were filled in have no noise of their own, and say nothing of a line
+        own[:, p] /= (1.0 - one.lost[1:, None]) ** 2
+        shared[p] /= (1.0 - one.lost[0]) * (1.0 - float(one.lost.max()))
     return own, shared
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.faults import LONGEST, runs, without_faults
+from rig.foreign import faults
+from rig.foreign.faults import without_faults
 from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
@@ -33,6 +34,8 @@ BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by les
 SHORTEST = 4.0  # s of a record between gaps that is worth comparing
 LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left at half the new rate
 EDGE = 8  # instants at either end of a record that are not compared
+LITTLE = 0.1  # of the motion of a record is no motion
+SHOWN = 3  # sentences on faults of a record of which nothing is left
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
 AXES = "xyz"
 SPLINE = 4  # rows that a spline of third degree needs
@@ -67,8 +70,18 @@ def rotations(foreign: Foreign) -> TrackRecords:
         raise BadInput(f"{foreign.run}: found no rotation in its manifest, wanted it to say the axis")
     pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
     data = _joined(foreign, pieces, made)
+    whole = max(float(np.sqrt(np.mean(piece.track.rate[piece.track.good] ** 2))) for piece in pieces)
+    if float(np.sqrt(np.mean(data.rate**2) * 3.0)) < LITTLE * whole:
+        raise BadInput(
+            f"{foreign.run}: found nothing but rest between its gaps, wanted some motion{_of_faults(foreign)}"
+        )
     noise = device_noise(data, [one.noise for one in _device(foreign)])
     return replace(data, noise=noise, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
+
+
+def _of_faults(foreign: Foreign) -> str:
+    """What may have made the gaps of a record, to go on a sentence with."""
+    return "".join(f"; {one}" for one in faults.said(foreign)[:SHOWN])
 
 
 def motions(foreign: Foreign) -> TrackRecords:
@@ -83,7 +96,7 @@ def _turned(foreign: Foreign, table: Table) -> AngleTrack:
     if not columns:
         return _counted(foreign, table)
     u = foreign.u(table, columns[0])
-    return encoder_track(  # jitter of stamps is in the incoherent part: weights for it would bend the response
+    return encoder_track(  # jitter of stamps is among the noise of the rows: weights for it would bend the response
         foreign.time(table) + columns[0].delay, without_faults(foreign, table, columns[0]),
         u_angle=0.0 if u is None else math.sqrt(float(np.nanmean(u**2))), keep=_keep(foreign),
     )  # fmt: skip
@@ -108,7 +121,9 @@ def _posed(foreign: Foreign, table: Table) -> PoseTrack:
     made = foreign.manifest
     if made.pose is None:
         raise BadInput(f"{foreign.run}: found no pose in its manifest, wanted it to say how the quaternion turns")
-    position: dict[str | None, Array] = {one.axis: foreign.si(table, one) for one in made.of("reference", "position")}
+    position: dict[str | None, Array] = {
+        one.axis: without_faults(foreign, table, one) for one in made.of("reference", "position")
+    }
     quaternion: dict[str | None, Array] = {
         one.component: foreign.si(table, one) for one in made.of("reference", "quaternion")
     }
@@ -133,7 +148,7 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
     good = track.good.copy()
     for column in _device(foreign):
         stamps = time + column.delay
-        values = _without_faults(foreign, table, column, stamps, track)
+        values = without_faults(foreign, table, column)
         known = np.isfinite(stamps) & np.isfinite(values)
         later = np.flatnonzero(known)
         later = later[np.diff(np.maximum.accumulate(stamps[later]), prepend=-math.inf) > 0.0]
@@ -149,27 +164,6 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
     conditions = _conditions(foreign, table, track.time)
     piece = _Piece(table, track.time, np.array(found), good, track.interval, track, conditions)
     return _thinned(piece, max(_bands(foreign, track)))
-
-
-def _without_faults(
-    foreign: Foreign, table: Table, column: Column, stamps: Array, track: AngleTrack | PoseTrack
-) -> Array:
-    """A device's column in SI, (n,), with nothing where single samples are no measurement.
-
-    Longer stretches of a gyro about the axis are what the reference shows there, times what the gyro makes of it
-    elsewhere: gaps would leave too little of a record that is cut off at every swing, and these rows say nothing new.
-    """
-    values = without_faults(foreign, table, column)
-    lost = ~np.isfinite(values) & np.isfinite(foreign.si(table, column))
-    turned = foreign.manifest.rotation
-    if not lost.any() or not isinstance(track, AngleTrack) or turned is None or column.quantity != "rate":
-        return values
-    if column.axis != turned.axis or max(count for _, count in runs(lost)) <= LONGEST:
-        return values
-    rate = np.interp(stamps, track.time, track.rate)
-    known = np.isfinite(values) & np.isfinite(stamps)
-    factor, zero = np.polyfit(rate[known], values[known], 1)
-    return np.where(lost, zero + factor * rate, values)
 
 
 def _conditions(foreign: Foreign, table: Table, at: Array) -> dict[str, Array]:
@@ -245,7 +239,8 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
     bands = tuple(np.min([_bands(foreign, piece.track) for piece in pieces], axis=0).tolist())
     runs = [(piece, begin, end) for piece in pieces for begin, end in _whole(piece, interval)]
     if not runs:
-        raise BadInput(f"{foreign.run}: found no {SHORTEST:g} s without a gap, wanted some to compare")
+        wanted = f"wanted some to compare{_of_faults(foreign)}"
+        raise BadInput(f"{foreign.run}: found no {SHORTEST:g} s without a gap, {wanted}")
     cut = [slice(begin, end) for _, begin, end in runs]
     bounds = np.cumsum([0, *(s.stop - s.start for s in cut)]).tolist()
     records = tuple(itertools.pairwise(bounds))

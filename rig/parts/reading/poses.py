@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
+from rig.foreign.faults import without_faults
 from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
@@ -74,7 +75,7 @@ def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: 
     where = f"{foreign.run} {table.label}".strip()
     if not columns:
         raise BadInput(f"{where}: found no accelerometer and no gyro, wanted one")
-    numbers = np.array([table.of(one.column) - one.zero for one in columns])
+    numbers = np.array([without_faults(foreign, table, one) * one.scale for one in columns])
     time = foreign.time(table)
     rate = (len(time) - 1) / float(time[-1] - time[0])
     channels = _channels(columns, foreign.manifest.unit.serial)
@@ -110,7 +111,7 @@ def _intervals(
     """Poses and turns, and what is to be said of how they were found; `shown` (c, n) SI by the data sheet."""
     named = [_named(one, len(table.values), foreign.run) for one in foreign.manifest.segments]
     if any(not one.turns for one in named):
-        return named, [*_faults(named, shown, channels, rate)]
+        return named, [*_contradictions(named, shown, channels, rate)]
     acceleration, gyro = (shown[channels.of(quantity)] for quantity in ("acceleration", "rate"))
     if len(acceleration) != 3:
         raise BadInput(f"{foreign.run}: found no segments and no triad, wanted poses named in the manifest")
@@ -118,7 +119,7 @@ def _intervals(
     if not len(found):
         raise BadInput(f"{foreign.run} {table.label}: found no interval at rest, wanted poses")
     said = f"{len(found)} poses at rest found in the record"
-    return [*(Interval(*one) for one in found), *named], [said, *_faults(named, shown, channels, rate)]
+    return [*(Interval(*one) for one in found), *named], [said, *_contradictions(named, shown, channels, rate)]
 
 
 def _at_rest(acceleration: Array, rate: float, gyro: Array | None) -> list[Pair]:
@@ -136,7 +137,7 @@ def _named(one: Segment, rows: int, run: str) -> Interval:
     )
 
 
-def _faults(named: Sequence[Interval], shown: Array, channels: Channels, rate: float) -> list[str]:
+def _contradictions(named: Sequence[Interval], shown: Array, channels: Channels, rate: float) -> list[str]:
     """Turns that a gyro shows the other way round, and poses that an accelerometer does."""
     said = []
     for one in named:

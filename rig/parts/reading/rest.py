@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rig.errors import BadInput
+from rig.foreign.faults import faults
 from rig.foreign.manifest import SI_OF, Column
-from rig.foreign.outliers import marks
 from rig.foreign.tables import Foreign, Table
 from rig.motion import Array
 from rig.parts.reading.noise_at_rest import step_of
@@ -83,8 +83,8 @@ def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
     values, time = foreign.si(table, column), foreign.time(table)
     if lacking := int(np.count_nonzero(~np.isfinite(values))):
         raise BadInput(f"found {lacking} rows without a number, wanted a whole record at rest")
-    if mark := next(marks(table.of(column.column)), None):
-        raise BadInput(f"found {mark.value:.6g} in {len(mark.rows)} rows, wanted numbers near the others")
+    if wrong := faults(foreign, table, column):
+        raise BadInput(f"found samples that are no measurement, wanted a whole record at rest: {wrong[0].text}")
     if len(values) < FEWEST:
         raise BadInput(f"found {len(values)} rows, wanted some hundred")
     rate = 1.0 / _interval(time)

@@ -57,10 +57,12 @@ def _lines(data: TrackRecords, row: int, rests: Sequence[slice]) -> Density | No
     """Density of the lines at rest within the channel's band; None without a rest, or if it shows one number there."""
     from scipy.fft import dct
 
-    band = data.bands[0 if data.channels.rates[row] else 1]
+    of_rate, axis = bool(data.channels.rates[row]), int(data.channels.axis[row])
+    band = data.bands[0 if of_rate else 1]
+    shown = data.channels.sensitivity[row] * (data.rate if of_rate else data.force)[axis]  # a case may swing a little
     found: list[tuple[Array, Array]] = []
     for rest in rests:
-        values = data.observed[row, rest]
+        values = data.observed[row, rest] - shown[rest]
         f = np.arange(len(values)) / (2.0 * len(values) * data.interval)
         inside = (f > LOWEST) & (f <= band)
         power = dct(values - values.mean(), type=2, norm="ortho") ** 2 * (2.0 * data.interval)

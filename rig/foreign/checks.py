@@ -22,6 +22,7 @@ from rig.foreign import turns
 from rig.foreign.faults import FROZEN, GAP, STILL, faults, listed, runs
 from rig.foreign.manifest import KINDS
 from rig.foreign.pairs import Finding
+from rig.foreign.stamps import rounded
 from rig.foreign.tables import Foreign, Table
 
 __all__ = ["Finding", "findings"]
@@ -56,6 +57,9 @@ def _seconds(value: float) -> str:
 
 def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     """Time stamps: not numbers, backwards, the same twice, far apart, uneven, implausible."""
+    if (behind := rounded(data.stamps(table))) is not None:
+        text = f"time stamps are whole multiples of {_seconds(behind.step)} of an even clock, one every"
+        yield Finding("time_rounded", table.label, f"{text} {_seconds(behind.interval)}: rows are taken as even")
     stamps = data.time(table)
     bad = np.flatnonzero(~np.isfinite(stamps))
     if len(bad):

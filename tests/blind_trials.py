@@ -18,6 +18,7 @@ import numpy as np
 from blind_worlds import Answer, Case
 from fast_bench import MemoryRecords
 
+from fixtures.imperfections import Beginning
 from fixtures.shelf import SHELF
 from fixtures.world import World
 from rig.diagnose import search
@@ -162,9 +163,7 @@ def interval(found: Diagnosis, answer: Answer, begun: float) -> dict[str, Any]:
     """The true size of the effect named, its value in the repaired model and the standard uncertainty of that."""
     (entry,) = answer.hidden
     kind = SHELF.kind(str(entry["name"]))
-    truth = float(entry["parameters"][kind.size])
-    if kind.name == "warm_up":  # the program counts from the first record, the world from power-up
-        truth *= math.exp(-begun / float(entry["parameters"]["time_constant"]))
+    truth = kind(**entry["parameters"]).stated(Beginning(begun, 0.0, worlds.MAINS))[kind.size]
     step = found.steps[-1].taken
     term = next(one for one in found.final.state.terms if one.effect.name == kind.name and not one.prior)
     value = term.effect.physical(term.at)[kind.size]

@@ -22,7 +22,7 @@ from rig.foreign import turns
 from rig.foreign.faults import FROZEN, GAP, STILL, faults, listed, runs
 from rig.foreign.manifest import KINDS
 from rig.foreign.pairs import Finding
-from rig.foreign.stamps import rounded
+from rig.foreign.stamps import rounded, set_back
 from rig.foreign.tables import Foreign, Table
 
 __all__ = ["Finding", "findings"]
@@ -60,6 +60,10 @@ def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     if (behind := rounded(data.stamps(table))) is not None:
         text = f"time stamps are whole multiples of {_seconds(behind.step)} of an even clock, one every"
         yield Finding("time_rounded", table.label, f"{text} {_seconds(behind.interval)}: rows are taken as even")
+    if len(back := set_back(data.stamps(table))):
+        row, raw = int(back[0]), data.stamps(table)
+        text = f"the clock was set back at {listed(back)}, the first time from {raw[row - 1]:.6g} s to {raw[row]:.6g} s"
+        yield Finding("time_set_back", table.label, f"{text}: what follows is taken to go on from there")
     stamps = data.time(table)
     bad = np.flatnonzero(~np.isfinite(stamps))
     if len(bad):

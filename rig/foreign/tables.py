@@ -17,7 +17,7 @@ from rig import units
 from rig.archive.records import Recorded
 from rig.errors import BadInput
 from rig.foreign.manifest import Column, Manifest, from_json
-from rig.foreign.stamps import rounded
+from rig.foreign.stamps import onward, rounded
 
 Array = NDArray[np.float64]
 PROCEDURE = "import"
@@ -76,12 +76,12 @@ class Foreign:
         return np.full(len(table.values), value)
 
     def time(self, table: Table) -> Array:
-        """Time stamps, or made from rate or interval; s, (n,). Stamps in whole steps of an even clock are even; others
-        are as they stand. BadInput without a time base.
+        """Time stamps, or made from rate or interval; s, (n,). Stamps in whole steps of an even clock are even, and
+        after a clock was set back they go on; others are as they stand. BadInput without a time base.
         """
         stamps = self.stamps(table)
         behind = rounded(stamps) if self.manifest.time is not None and self.manifest.time.column is not None else None
-        return stamps if behind is None else behind.instants
+        return onward(stamps) if behind is None else behind.instants
 
     def stamps(self, table: Table) -> Array:
         """Time stamps as they stand, or made from rate or interval; s, (n,). BadInput without a time base."""

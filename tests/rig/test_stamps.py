@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from imported_worlds import evidence, manifest
 
 from rig.foreign.importing import open_manifest
-from rig.foreign.stamps import rounded
+from rig.foreign.stamps import onward, rounded, set_back
 from rig.foreign.tables import Foreign, Table
 from rig.parts.reading.rest import at_rest
 
@@ -83,3 +83,42 @@ def test_a_rotation_with_coarse_stamps_is_compared_as_the_same_with_fine_ones(tm
         (tmp_path / "m.yaml").write_text(made.turning_manifest("d.csv"), encoding="utf-8")
         left.append(evidence(open_manifest(tmp_path / "m.yaml").data).fitted())
     assert left[1].chi2 / left[1].count == pytest.approx(left[0].chi2 / left[0].count, rel=1e-3)
+
+
+def test_time_goes_on_where_a_clock_was_set_back() -> None:
+    true = np.arange(COUNT) * 0.01
+    stamps = true.copy()
+    stamps[1000:] -= 3600.0
+    stamps[2000:] -= 4.0
+    assert set_back(stamps).tolist() == [1000, 2000]
+    found = onward(stamps)
+    assert np.diff(found).min() > 0.0
+    assert np.diff(found) == pytest.approx(0.01)
+
+
+def test_rows_in_disorder_are_no_clock_that_was_set_back() -> None:
+    stamps = np.arange(COUNT) * 0.01
+    jittered = stamps + 0.02 * np.random.default_rng(1).normal(size=COUNT)
+    wrapped = np.mod(stamps, 1.0)
+    single = np.where(np.arange(COUNT) == 700, 0.0, stamps)
+    for one in (stamps, jittered, wrapped, single, stamps[:30] - 9.0 * (np.arange(30) > 15)):
+        assert set_back(one).tolist() == []
+        assert onward(one) is one
+
+
+@pytest.mark.parametrize("back", [3600.0, 7.0])
+def test_both_parts_of_a_record_are_compared_when_its_clock_was_set_back(tmp_path: Path, back: float) -> None:
+    parts = []
+    for seconds in (0.0, back):
+        data = made.turning(seconds=60.0, delay=0.0)
+        data["t_s"] = data["t_s"] + 5000.0 - seconds * (np.arange(6000) >= 2500)
+        (tmp_path / "d.csv").write_bytes(made.csv_bytes(data))
+        (tmp_path / "m.yaml").write_text(made.turning_manifest("d.csv"), encoding="utf-8")
+        read = open_manifest(tmp_path / "m.yaml")
+        parts.append((read, evidence(read.data).fitted()))
+    (whole, first), (read, second) = parts
+    assert [one.kind_of for one in (*whole.found, *read.found)] == ["time_set_back"]
+    assert "at row 2500" in read.found[0].text
+    assert second.count > 0.9 * first.count
+    gains = [one.state.local(one.parts[0], 0).sensitivity[1] for one in (first, second)]
+    assert gains[1] == pytest.approx(gains[0], abs=3e-4)

@@ -267,7 +267,10 @@ def test_the_formula_on_the_page_repairs_the_same_stranger(
     shaken: Evidence, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = tmp_path / "page.py"
-    code.write_text("\n".join(block for block in _blocks() if "class " not in block), encoding="utf-8")
+    text = "\n".join(block for block in _blocks() if "class " not in block)
+    of_a_run = 'evidence = evidence_of([open_run("runs/last")])\n'
+    assert of_a_run in text  # here it is the stranger's
+    code.write_text(text.replace(of_a_run, ""), encoding="utf-8")
     names = runpy.run_path(str(code), {"evidence": shaken})
     assert "k*V**2" in capsys.readouterr().out
     assert adequacy.adequate(shaken.fitted([names["term"]]))

@@ -114,7 +114,7 @@ REAL = {
     "cem-mpu9250": ["near 180°: the device counts against the reference (polarity)"],
     "ptb-mpu9250": ["nothing looks wrong with the data"],
     "broad-07": ["nothing looks wrong with the data"],
-    "xsens-multiposition": ["nothing looks wrong with the data"],
+    "xsens-multiposition": ["contradict gravity", "times what is stated"],
     "ferraris-session": ["nothing looks wrong with the data"],
     "uiuc-pitch-medium": ["nothing looks wrong with the data"],
 }

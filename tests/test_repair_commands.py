@@ -83,7 +83,9 @@ def test_the_hidden_effect_is_named_with_its_true_size(diagnosis: Mapping[str, A
 
 
 def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(diagnosis: Mapping[str, Any]) -> None:
-    assert set(diagnosis) == {"verdict", "groups", "candidates", "excluded", "description", "cannot_see"}
+    assert set(diagnosis) == {
+        "verdict", "groups", "candidates", "excluded", "untold", "faults", "description", "cannot_see",
+    }  # fmt: skip
     before = max(group["ratio"] for group in diagnosis["groups"])
     for one in diagnosis["candidates"]:
         assert set(one) == {

@@ -8,7 +8,7 @@ channel is saturation, which is physics, and none of these.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -53,7 +53,7 @@ def faults(data: Foreign, table: Table, column: Column) -> list[Fault]:
     found: list[Fault] = []
     if column.quantity in SIGNALS:
         found += _clipped(column, values)
-        found += _outliers(column, values)
+        found += _outliers(column, values, _beside(data, table, column))
     if column.quantity == "angle":
         found += _steps(data, table, column, values)
     rest = values.copy()
@@ -106,8 +106,14 @@ def listed(rows: Rows) -> str:
 # samples that stand out
 
 
-def _outliers(column: Column, values: Array) -> Iterator[Fault]:
-    """Numbers that stand for nothing, and rows that stand alone."""
+def _beside(data: Foreign, table: Table, column: Column) -> list[Array]:
+    """The other signals of a device, each as it stands in the file."""
+    others = (one for one in data.manifest.of("device") if one.quantity in SIGNALS and one.column != column.column)
+    return [table.of(one.column) for one in others] if column.role == "device" else []
+
+
+def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterator[Fault]:
+    """Numbers that stand for nothing, and rows that stand alone; what other signals feel too is a knock."""
     rest = values.copy()
     for mark in outliers.marks(values):
         n = len(mark.rows)
@@ -117,6 +123,7 @@ def _outliers(column: Column, values: Array) -> Iterator[Fault]:
         yield Fault("marks", column.channel, mark.rows, text + advice)
         rest[mark.rows] = math.nan
     rows = outliers.alone(rest)
+    rows = rows[~np.any([outliers.jumping(one)[rows] for one in beside], axis=0)] if beside else rows
     if n := len(rows):
         text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
         yield Fault("alone", column.channel, rows, f"{text}: {listed(rows)}, the first at {values[rows[0]]:.6g}")

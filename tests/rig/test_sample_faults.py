@@ -123,6 +123,8 @@ def test_clean_records_and_knocks_have_no_faults() -> None:
         return values
 
     assert not found(spoilt(turned(), "gyro_z", knocked))
+    jolted = spoilt(spoilt(turned(), "gyro_x", put([2500], 0.04)), "gyro_y", put([2500], -0.06))
+    assert not found(jolted)  # both felt it
 
 
 def test_a_clean_record_of_the_same_device_is_adequate() -> None:

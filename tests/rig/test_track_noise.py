@@ -109,3 +109,14 @@ def test_the_band_ends_where_the_motion_no_longer_stands_above_the_references_no
     assert noisy.clear <= quiet.clear < noisy.bandwidth * 4.0
     at = float(np.median(noisy.density[noisy.good]))
     assert at == pytest.approx(2.0 * 1e-2**2 / 100.0, rel=0.15)
+
+
+def test_a_zero_that_creeps_by_what_one_sample_scatters_is_no_slow_noise() -> None:
+    verdicts = []
+    for seed in range(6):
+        foreign = rotation(Unit(), seed, rest=10.0, channels="r", jitter=1e-4)
+        (table,) = foreign.tables
+        rows, t = table.values.copy(), table.of("t")
+        rows[:, table.names.index("gyro_z")] += 2e-3 * (t - t[0]) / (t[-1] - t[0])
+        verdicts.append(diagnose(evidence(replace(foreign, tables=(replace(table, values=rows),)))).verdict)
+    assert "adequate" not in verdicts

@@ -49,7 +49,9 @@ def _of_channel(data: TrackRecords, row: int, rests: Sequence[slice], sheet: She
     lines = _lines(data, row, rests)
     if lines is not None:
         rate = 1.0 / data.interval
-        return DeviceNoise(fit_density(lines, rate, step=0.0, pole=None, beforehand=known), "at rest")
+        # flicker that the rest does not show would excuse any zero that creeps, uncertain as it is
+        shown = "flicker" not in known
+        return DeviceNoise(fit_density(lines, rate, step=0.0, pole=None, shown=shown, beforehand=known), "at rest")
     return None if not known else DeviceNoise(_by_sheet(known, 1.0 / data.interval), "data sheet")
 
 

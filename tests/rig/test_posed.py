@@ -20,8 +20,8 @@ from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Local, Term
 from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import GRAVITY, Poses
-from rig.parts.reading.noise_at_rest import noises_at_rest
 from rig.parts.reading.poses import posed
+from rig.signals.noise_at_rest import noises_at_rest
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("RIG_REAL_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.parts.reading.record_means import Means, between, noise_of, wandering
 from rig.signals.noise import NoiseModel
+from rig.signals.record_means import Means, between, noise_of, wandering
 from rig.signals.spectrum import Density
 
 SIGMA = 2e-3

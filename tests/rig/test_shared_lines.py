@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.motion import Array
-from rig.parts.reading.shared_lines import shared_lines
+from rig.signals.shared_lines import shared_lines
 
 INTERVAL = 0.01
 T = INTERVAL * np.arange(12000)

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rig.foreign.manifest import SI_OF, Column
-from rig.parts.reading.record_means import wandering
 from rig.parts.sweep_lines import drive_clock, mains_seen
 from rig.parts.sweep_records import Leftover, SweepRecords
+from rig.signals.record_means import wandering
 
 
 def notes(columns: Sequence[Column], data: SweepRecords) -> Iterator[str]:

@@ -26,12 +26,12 @@ from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.reading.imported_notes import notes
-from rig.parts.reading.record_means import Means, noise_of
 from rig.parts.reading.shaker_distortion import shaker_remarks
 from rig.parts.sweep_lines import Separated, density, mains_seen, separated, taken
 from rig.parts.sweep_records import LINES, Leftover, SweepRecords, directions
 from rig.signals import tone
 from rig.signals.noise import NoiseModel
+from rig.signals.record_means import Means, noise_of
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -18,12 +18,12 @@ from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
 from rig.parts.conditions import smoothed
 from rig.parts.reading.poses import signed
-from rig.parts.reading.shared_lines import shared_lines
 from rig.parts.reading.track_noise import device_noise
 from rig.parts.reference_motion import Shown
 from rig.parts.track import TrackRecords, spun_force, spun_up
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.signals.pose_track import PoseTrack, pose_track
+from rig.signals.shared_lines import shared_lines
 
 PIECE, SHORTEST_PIECE = 10.0, 3.0  # s of a stretch, at most and, of a short record, at least
 PIECES = 6  # of a short record

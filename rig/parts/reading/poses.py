@@ -23,7 +23,7 @@ from rig.model import Channels
 from rig.motion import Array
 from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import PARAMETERS
-from rig.parts.reading.noise_at_rest import noises_at_rest
+from rig.signals.noise_at_rest import noises_at_rest
 from rig.units import STANDARD_GRAVITY
 
 ROOM_FOR_FIT = 4  # poses beside the parameters, so that a fit to the rest means something

@@ -13,9 +13,9 @@ from rig.foreign.faults import faults
 from rig.foreign.manifest import SI_OF, Column
 from rig.foreign.tables import Foreign, Table
 from rig.motion import Array
-from rig.parts.reading.noise_at_rest import step_of
 from rig.signals import noise
 from rig.signals.noise import Coefficient, NoiseFit
+from rig.signals.noise_at_rest import step_of
 from rig.signals.spectrum import Lines, Periodogram
 
 FEWEST = 16  # rows, below which there is no noise to speak of

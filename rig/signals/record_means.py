@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtri
 
-from rig.motion import Array
 from rig.signals.noise import NoiseModel, fit_density
 from rig.signals.spectrum import Density
 
+Array = NDArray[np.float64]
 EQUAL = 1e-9  # relative: what varies by less does not vary
 WIDEST = 1e8  # times the variance from noise: how far zeros are looked for
 OUTSTANDING = 3.0  # times its noise: a wandering that is worth a word

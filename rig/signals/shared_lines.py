@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rig.motion import Array
-
+Array = NDArray[np.float64]
 SECONDS = 10.0  # of a segment
 COHERENT = 0.7
 STANDS_OUT = 10.0  # times the median power around it

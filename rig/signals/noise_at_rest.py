@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.motion import Array
 from rig.signals.noise import NoiseModel, fit_density
 from rig.signals.spectrum import Density
 
+Array = NDArray[np.float64]
 LEAST = 32  # samples of a part at rest that says something about noise
 BINS = 10.0  # per decade of frequency
 EDGE = 0.1  # of a part, left out at either end where its noise is looked at

@@ -27,14 +27,12 @@ from rig.parts.conditions import filled, logged
 from rig.parts.part import Origin, Part
 from rig.parts.reference_motion import REMEMBERED, Shown, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Mask
+from rig.signals.gapped_lines import whitening
+from rig.signals.incoherent import by_rising, incoherent
 from rig.signals.noise import NoiseModel
 
 DERIVATIVES = 5  # of the reference's motion, the motion itself among them, that a linear filter may follow
-PER_DECADE = 8.0
-FREE = 10.0  # lines' worth of freedom that a density is worked out from at least
 LOUDEST = 16.0  # times the mean power that noise may have just when an effect shows
-RESOLVED = 1e-9  # of the largest singular value: directions below it are rounding
-ROUNDS = 2  # of the incoherent part: plain least squares, then weighted by what that left
 ALLOWANCE = 0.2
 KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misfit, beside what its fit left open
 WIDER = 1.5  # of the band: what the reference lets through of its noise
@@ -88,6 +86,7 @@ class TrackRecords:
     jitter: float = 0.0  # standard deviation of the time stamps, as the reference shows it, s
     sampled: float = 0.0  # interval at which it was, s
     noise: tuple[DeviceNoise | None, ...] = ()  # of every channel, if it is known whatever the model
+    kept: Mask | None = None  # instants of each channel that count, (c, n); all without
     notes: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
 
@@ -217,9 +216,33 @@ class TrackedMotion(Part):
 
     @cached_property
     def _inside(self) -> Mask:
-        """Rows within each channel's band, (c, width)."""
+        """Rows within each channel's band that say something, (c, width)."""
         band = np.where(self.channels.rates, *self.data.bands)
-        return np.asarray(self.frequency_of <= band[:, None])
+        inside = np.asarray(self.frequency_of <= band[:, None])
+        for row, here, _, says in self._gapped:
+            inside[row, here] &= says
+        return inside
+
+    def counting(self, values: Array) -> Array:
+        """Signals of all channels (c, n), zero where they do not count."""
+        return values if self.data.kept is None else np.asarray(values * self.data.kept)
+
+    @cached_property
+    def _gapped(self) -> list[tuple[int, slice, Array, Mask]]:
+        """For a channel in a stretch with instants that do not count: its rows, the matrix that makes its lines
+        independent again, (k, k), and which of them say something, (k,).
+        """
+        found: list[tuple[int, slice, Array, Mask]] = []
+        if self.data.kept is None:
+            return found
+        ends = np.cumsum([len(f) for f in self._frequencies]).tolist()
+        for (begin, end), last, f in zip(self.data.stretches, ends, self._frequencies, strict=True):
+            here = slice(last - len(f), last)
+            for row in range(len(self.channels.names)):
+                kept = self.data.kept[row, begin:end]
+                if not kept.all():
+                    found.append((row, here, *whitening(kept, self.variance[row, here])))
+        return found
 
     @cached_property
     def variance(self) -> Array:
@@ -297,75 +320,90 @@ class TrackedMotion(Part):
         return model.covariance(begin + later, end + later) + np.diag(np.array(of_reference) / (2.0 * (end - begin)))
 
     @cached_property
-    def _means(self) -> dict[int, Array]:
-        """For channels with known noise the inverse Cholesky factor of the covariance of the stretches' means."""
+    def _means(self) -> dict[int, tuple[NDArray[np.intp], Array]]:
+        """For channels with known noise the rows of the stretches' means, and the inverse Cholesky factor of their
+        correlations."""
         found = {}
+        of_means = np.flatnonzero(self.frequency_of == 0.0)
         for row in range(len(self.channels.names)):
             if (known := self.known(row)) is not None:
-                found[row] = np.linalg.inv(np.linalg.cholesky(self._covariance(row, known.model)))
+                says = np.flatnonzero(self._inside[row, of_means])
+                covariance = self._covariance(row, known.model)[np.ix_(says, says)]
+                scale = np.sqrt(np.diag(covariance))
+                found[row] = of_means[says], np.linalg.inv(np.linalg.cholesky(covariance)) * scale
         return found
 
     @cached_property
     def _noises(self) -> list[tuple[Array, Array] | None]:
         """Incoherent part of every channel whose noise is not known otherwise, and the freedom it left."""
-        lines = self.lines(self.data.observed)
-        return [
-            None if self.known(c) is not None else self._incoherent(lines[c], bool(rate))
-            for c, rate in enumerate(self.channels.rates)
-        ]
+        lines = self.lines(self.counting(self.data.observed))
+        return [None if self.known(c) is not None else self._incoherent(lines[c], c) for c in range(len(lines))]
 
-    def _incoherent(self, target: Array, of_rate: bool) -> tuple[Array, Array]:
+    def _incoherent(self, target: Array, row: int) -> tuple[Array, Array]:
         """Variance of the lines of one channel that no linear filter of the reference explains, and the freedom that
         the filter left to each line; both (width,).
         """
-        f = self.frequency_of
+        f, of_rate = self.frequency_of, bool(self.channels.rates[row])
         here = (f <= self.data.bands[0 if of_rate else 1]) & (f > 0.0)
-        filters = self._filters(of_rate)
+        kept = None if self.data.kept is None or self.data.kept[row].all() else self.data.kept[row]
+        filters = self._filters(of_rate) if kept is None else self._gapped_filters(of_rate, kept)
+        share = np.ones(len(f)) if kept is None else self._share(kept)
+        here &= share > 0.0
         if not len(filters) or not here.any():
             what = "no line within the compared band" if len(filters) else "no motion"
             raise BadInput(f"{self.name}: found {what}, wanted a case that moves, in a record that is long enough")
-        columns = filters[:, here].T
-        density = np.ones(int(here.sum()))
-        for _ in range(ROUNDS):
-            weight = 1.0 / np.sqrt(density)
-            basis = _orthonormal(columns * weight[:, None])
-            aim = target[here] * weight
-            left = (aim - basis @ (basis.T @ aim)) / weight
-            freedom = np.zeros(len(f))
-            freedom[here] = 1.0 - np.sum(basis**2, axis=1)
-            density = _smooth(f[here], left**2, freedom[here])
-        found = np.interp(f, *_sorted(f[here], density))
+        freedom = np.zeros(len(f))
+        weight = 1.0 / np.sqrt(share[here])
+        density, freedom[here] = incoherent(f[here], target[here] * weight, (filters[:, here] * weight).T)
+        found = np.interp(f, *by_rising(f[here], density))
         return np.asarray(np.where(f > 0.0, found, found.max())), freedom
+
+    def _share(self, kept: Mask) -> Array:
+        """Share of the instants of every row's stretch that count, (width,)."""
+        return np.array([kept[begin:end].mean() for begin, end in self.data.stretches])[self.stretch_of]
 
     @cached_property
     def _rates_filters(self) -> Array:
-        return self._derivatives(_varying(self.reference.rate))
+        return self._derivatives(self._filtered(True))
 
     @cached_property
     def _force_filters(self) -> Array:
-        motion = self.reference
-        spins = [motion.rate[i] * motion.rate[j] for i in range(3) for j in range(i, 3)]
-        return self._derivatives(_varying(np.stack([*motion.force, *motion.turning, *spins])))
+        return self._derivatives(self._filtered(False))
 
     def _filters(self, of_rate: bool) -> Array:
         return self._rates_filters if of_rate else self._force_filters
 
-    def _derivatives(self, signals: Array) -> Array:
-        """Lines of signals and of their derivatives, each scaled to one, (k, width)."""
+    def _gapped_filters(self, of_rate: bool, kept: Mask) -> Array:
+        """The same of what counts of them; a zero output with gaps has lines of all frequencies."""
+        level = self.lines(kept[None].astype(np.float64))
+        return np.concatenate([level / np.linalg.norm(level), self._derivatives(self._filtered(of_rate), kept)])
+
+    def _filtered(self, of_rate: bool) -> Array:
+        """What a filter of the motion may follow, (k, n)."""
+        motion = self.reference
+        if of_rate:
+            return _varying(motion.rate)
+        spins = [motion.rate[i] * motion.rate[j] for i in range(3) for j in range(i, 3)]
+        return _varying(np.stack([*motion.force, *motion.turning, *spins]))
+
+    def _derivatives(self, signals: Array, kept: Mask | None = None) -> Array:
+        """Lines of signals and of their derivatives where they count, each scaled to one, (k, width)."""
         scale = 2.0 * math.pi * max(self.data.bands)
         found = []
         for order in range(DERIVATIVES):
-            moved = self.grid.observed(signals, partial(_power, order=order, scale=scale))
-            lines = self.lines(np.asarray(moved, np.float64))
+            moved = np.asarray(self.grid.observed(signals, partial(_power, order=order, scale=scale)), np.float64)
+            lines = self.lines(moved if kept is None else moved * kept)
             found.append(lines / np.linalg.norm(lines, axis=1, keepdims=True))
         return np.concatenate(found)
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
-        lines = self.lines(np.asarray(raw, np.float64))
-        found = lines * self._inside / np.sqrt(self.variance)
-        of_means = np.flatnonzero(self.frequency_of == 0.0)
-        for row, factor in self._means.items():
-            found[row, of_means] = factor @ (lines[row, of_means] / np.sqrt(self._lengths))
+        lines = self.lines(self.counting(np.asarray(raw, np.float64)))
+        found = lines / np.sqrt(self.variance)
+        for row, here, matrix, _ in self._gapped:
+            found[row, here] = matrix @ lines[row, here]
+        found *= self._inside
+        for row, (of_means, factor) in self._means.items():
+            found[row, of_means] = factor @ found[row, of_means]
         return np.asarray(found.reshape(-1))
 
     @property
@@ -452,7 +490,9 @@ class TrackedMotion(Part):
         return np.asarray(self.variance / self.channels.sensitivity[:, None] ** 2)
 
     def numbers(self) -> Array:
-        return np.full(len(self.row_names), float(sum(end - begin for begin, end in self.data.stretches)))
+        inside = np.concatenate([np.arange(begin, end) for begin, end in self.data.stretches])
+        kept = self.data.kept
+        return np.full(len(self.row_names), float(len(inside))) if kept is None else kept[:, inside].sum(1, np.float64)
 
     def shapes(self, component: str) -> Mapping[str, Array]:
         """The motion along each axis, its rate of change, that of the other axes, and squares, each scaled to one."""
@@ -480,47 +520,3 @@ def _power(frequency: Array, *, order: int, scale: float) -> Complexes:
 def _varying(signals: Array) -> Array:
     """Signals that are not constant."""
     return np.asarray(signals[np.ptp(signals, axis=1) > 1e-9 * (1.0 + np.abs(signals).max())])
-
-
-def _sorted(f: Array, values: Array) -> tuple[Array, Array]:
-    order = np.argsort(f, kind="stable")
-    return f[order], values[order]
-
-
-def _orthonormal(columns: Array) -> Array:
-    """An orthonormal basis of what the first of these columns (n, k) span, at most half as many as rows; (n, rank).
-
-    A filter with as many numbers as there are lines would explain noise as well. Derivatives stand last.
-    """
-    columns = columns[:, : max(len(columns) // 2, 1)]
-    vectors, sizes, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return np.asarray(vectors[:, sizes > RESOLVED * sizes[0]])
-
-
-def _smooth(f: Array, power: Array, freedom: Array) -> Array:
-    """Density at every line (n,), from the power that a filter left and the freedom that it left to each line.
-
-    Lines are taken together in bins of log frequency, and so many of them that some freedom is left: a line that the
-    filter follows by itself leaves nothing over, and that is no lack of noise.
-    """
-    at, power = _sorted(f, power)
-    _, freedom = _sorted(f, freedom)
-    places, free, whole = [], [], []
-    begin = 0
-    for end in _bins(at, freedom):
-        places.append(float(np.log(at[begin:end]).mean()))
-        free.append(float(freedom[begin:end].sum()))
-        whole.append(float(power[begin:end].sum()))
-        begin = end
-    levels = np.log(np.array(whole) / np.array(free))
-    return np.asarray(np.exp(np.interp(np.log(f), places, levels)))
-
-
-def _bins(f: Array, freedom: Array) -> list[int]:
-    """Ends of bins among rising frequencies: PER_DECADE of them, wider where less freedom than FREE is left."""
-    ends, begin, total = [], 0, np.concatenate([[0.0], np.cumsum(freedom)])
-    for end in [*(np.flatnonzero(np.diff(np.floor(np.log10(f) * PER_DECADE))) + 1).tolist(), len(f)]:
-        if total[end] - total[begin] >= FREE:
-            ends.append(end)
-            begin = end
-    return [*ends[:-1], len(f)]

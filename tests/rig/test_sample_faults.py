@@ -14,7 +14,7 @@ from imported_worlds import Unit, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
-from rig.errors import BadInput
+from rig.fit.quality import error_of
 from rig.foreign.faults import Fault, faults
 from rig.foreign.tables import Foreign
 from rig.parts.track import TrackedMotion
@@ -89,12 +89,21 @@ def test_what_is_no_measurement_is_found_in_its_rows_and_nowhere_else(case: str)
     assert total == pytest.approx(rows, rel=0.05) if rows else total > 100
 
 
-def test_a_gyro_that_is_cut_off_at_every_swing_leaves_nothing_to_compare_and_that_is_said() -> None:
-    with pytest.raises(BadInput, match=r"found nothing but rest between its gaps, .*gyro_z: clipped at the top"):
-        evidence(spoilt(turned(), "gyro_z", lambda values: np.clip(values, -1.0, 1.0)))
+@pytest.mark.parametrize(("level", "rest"), [(2.4, 10.0), (1.0, 10.0), (1.5, 0.0)])
+def test_a_gyro_that_is_cut_off_at_every_swing_is_compared_between(level: float, rest: float) -> None:
+    seed = round(10.0 * level)
+    turning = rotation(Unit(rate_gain=(1.0, 1.0, GAIN)), seed, rest=rest, channels="r", jitter=1e-4)
+    cut_off = evidence(spoilt(turning, "gyro_z", lambda values: np.clip(values, -level, level)))
+    assert diagnose(cut_off).verdict == "undecided"
+    fit = cut_off.fitted()
+    z = fit.layout.gains["gyro_z"]
+    u = math.sqrt(fit.covariance[z, z])
+    assert u < 1e-3
+    assert 1.0 + fit.state.gain["gyro_z"] == pytest.approx(GAIN, abs=3.0 * u)
+    assert 0.8 < error_of(fit) < 1.15
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case != "cut off"])
+@pytest.mark.parametrize("case", CASES)
 def test_a_record_with_it_is_not_called_adequate_and_gives_the_sensitivity_all_the_same(case: str) -> None:
     name, change, _, _ = CASES[case]
     bad = evidence(spoilt(turned(), name, change))

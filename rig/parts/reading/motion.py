@@ -33,22 +33,26 @@ TAPS = 24  # of the low-pass before thinning, per instant kept
 BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
 SHORTEST = 4.0  # s of a record between gaps that is worth comparing
 LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left at half the new rate
-EDGE = 8  # instants at either end of a record that are not compared
+EDGE = 2.0  # periods of the highest frequency at either end of a record that are not compared
+MOSTLY = 0.8  # of the instants: where gaps of the device cost more, what is between them is compared as it stands
 LITTLE = 0.1  # of the motion of a record is no motion
 SHOWN = 3  # sentences on faults of a record of which nothing is left
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
 AXES = "xyz"
 SPLINE = 4  # rows that a spline of third degree needs
+LONGEST_STEP = 5.0  # intervals from row to row that a spline bridges
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """One table on the reference's grid: observed (c, n), motion, and which instants count."""
+    """One table on the reference's grid: observed (c, n), motion, which instants count, (n,), and of those which count
+    in each channel, `kept` (c, n)."""
 
     table: Table
     time: Array
     observed: Array
     good: NDArray[np.bool_]
+    kept: NDArray[np.bool_]
     interval: float
     track: AngleTrack | PoseTrack
     conditions: Mapping[str, Array]
@@ -68,10 +72,11 @@ def rotations(foreign: Foreign) -> TrackRecords:
     made = foreign.manifest.rotation
     if made is None:
         raise BadInput(f"{foreign.run}: found no rotation in its manifest, wanted it to say the axis")
-    pieces = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
+    pieces = _compared(foreign, [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables])
     data = _joined(foreign, pieces, made)
     whole = max(float(np.sqrt(np.mean(piece.track.rate[piece.track.good] ** 2))) for piece in pieces)
-    if float(np.sqrt(np.mean(data.rate**2) * 3.0)) < LITTLE * whole:
+    seen = data.rate if data.kept is None else data.rate * data.kept.any(axis=0)
+    if float(np.sqrt(np.mean(seen**2) * 3.0)) < LITTLE * whole:
         raise BadInput(
             f"{foreign.run}: found nothing but rest between its gaps, wanted some motion{_of_faults(foreign)}"
         )
@@ -87,7 +92,7 @@ def _of_faults(foreign: Foreign) -> str:
 def motions(foreign: Foreign) -> TrackRecords:
     """Every file of a run of kind "motion" together. Raises BadInput where nothing can be compared."""
     pieces = [_on_grid(foreign, table, _posed(foreign, table)) for table in foreign.tables]
-    return _joined(foreign, pieces, None)
+    return _joined(foreign, _compared(foreign, pieces), None)
 
 
 def _turned(foreign: Foreign, table: Table) -> AngleTrack:
@@ -142,12 +147,9 @@ def _posed(foreign: Foreign, table: Table) -> PoseTrack:
 
 def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _Piece:
     """The device's channels at the instants of the reference's grid; splines through what was sampled."""
-    from scipy.interpolate import CubicSpline
-
-    time, found = foreign.time(table), []
-    good = track.good.copy()
+    found, kept, good = [], [], track.good.copy()
     for column in _device(foreign):
-        stamps = time + column.delay
+        stamps = foreign.time(table) + column.delay
         values = without_faults(foreign, table, column)
         known = np.isfinite(stamps) & np.isfinite(values)
         later = np.flatnonzero(known)
@@ -155,15 +157,39 @@ def _on_grid(foreign: Foreign, table: Table, track: AngleTrack | PoseTrack) -> _
         if len(later) < SPLINE:
             where = f"{foreign.run} {table.label}, {column.channel}"
             raise BadInput(f"{where}: found {len(later)} rows with a number and a later stamp, wanted a record")
-        spline = CubicSpline(stamps[later], values[later])
-        found.append(spline(track.time))
-        near = np.searchsorted(stamps[later], track.time).clip(1, len(later) - 1)
-        gap = stamps[later][near] - stamps[later][near - 1]
-        good &= gap < 5.0 * track.interval
+        signal, near = _splined(stamps[later], values[later], track.time)
+        found.append(signal)
+        kept.append(near)
         good &= (track.time >= stamps[later][0]) & (track.time <= stamps[later][-1])
     conditions = _conditions(foreign, table, track.time)
-    piece = _Piece(table, track.time, np.array(found), good, track.interval, track, conditions)
-    return _thinned(piece, max(_bands(foreign, track)))
+    return _Piece(table, track.time, np.array(found), good, np.array(kept), track.interval, track, conditions)
+
+
+def _splined(stamps: Array, values: Array, at: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Values at other instants by a cubic spline, and whether rows are close enough there; else by a straight line.
+
+    Beside a gap the spline leans on what is beyond it.
+    """
+    from scipy.interpolate import CubicSpline
+
+    close = np.diff(stamps) < LONGEST_STEP * float(at[1] - at[0])
+    padded = np.pad(close, 1, constant_values=True)
+    clear = padded[:-2] & close & padded[2:]
+    near = clear[np.searchsorted(stamps, at).clip(1, len(stamps) - 1) - 1]
+    return np.where(near, CubicSpline(stamps, values)(at), np.interp(at, stamps, values)), near
+
+
+def _compared(foreign: Foreign, pieces: Sequence[_Piece]) -> list[_Piece]:
+    """Pieces as they are compared: thinned, and cut where a channel has a gap; where that would leave too little, as
+    they stand, with what counts in each channel by itself.
+
+    A low-pass spreads a gap over all that it reaches, so pieces with many gaps are not thinned.
+    """
+    band = min(max(_bands(foreign, piece.track)) for piece in pieces)
+    cut = [_thinned(replace(one, good=one.good & one.kept.all(axis=0), kept=one.kept | True), band) for one in pieces]
+    whole = [_thinned(replace(one, kept=one.kept | True), band) for one in pieces]
+    left, there = (sum(e - b for one in some for b, e in _whole(one, one.interval)) for some in (cut, whole))
+    return cut if left >= MOSTLY * there else list(pieces)
 
 
 def _conditions(foreign: Foreign, table: Table, at: Array) -> dict[str, Array]:
@@ -197,6 +223,7 @@ def _thinned(piece: _Piece, band: float) -> _Piece:
         time=piece.time[::step],
         observed=smooth,
         good=good,
+        kept=piece.kept[:, ::step],
         interval=step * piece.interval,
         conditions={name: values[::step] for name, values in piece.conditions.items()},
         step=step,
@@ -244,8 +271,10 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
     cut = [slice(begin, end) for _, begin, end in runs]
     bounds = np.cumsum([0, *(s.stop - s.start for s in cut)]).tolist()
     records = tuple(itertools.pairwise(bounds))
-    stretches, held = _stretches(foreign, runs, records, interval)
+    edge = round(EDGE / (max(bands) * interval))
+    stretches, held = _stretches(foreign, runs, records, interval, edge)
     observed = np.concatenate([piece.observed[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
+    kept = np.concatenate([piece.kept[:, s] for (piece, _, _), s in zip(runs, cut, strict=True)], axis=1)
     time = np.concatenate([piece.time[s] for (piece, _, _), s in zip(runs, cut, strict=True)])
     temperature, supply = (
         np.concatenate([piece.conditions[name][s] for (piece, _, _), s in zip(runs, cut, strict=True)])
@@ -258,7 +287,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
         upright=np.zeros(len(time)), phase=0.0, radius=0.0, outward=np.zeros(3), rate=np.zeros((3, len(time))),
         turning=np.zeros((3, len(time))), force=np.zeros((3, len(time))), up=np.zeros((3, len(time))),
         gravity=made.gravity.value, records=records, stretches=stretches, held=held, bands=bands, notes=tuple(notes),
-        blind=_BLIND, temperature=temperature, supply=supply,
+        blind=_BLIND, temperature=temperature, supply=supply, kept=None if kept.all() else kept,
     )  # fmt: skip
     if rotation is None:
         rate, turning, force, up = (
@@ -334,8 +363,9 @@ def _across(data: TrackRecords, axis: int, shown: Shown, rotation: Rotation) -> 
         if k >= 0:
             zeros = [np.full(len(data.time), float(k == n)) for n in range(2)]
             each = [(one.real, -one.imag) if k == 0 else (one.imag, one.real) for one in parts.values()]
-            columns.append(np.stack([*zeros, *(column for pair in each for column in pair)], axis=1))
-            rows.append(data.observed[row])
+            counts = np.ones(len(data.time)) if data.kept is None else data.kept[row]
+            columns.append(np.stack([*zeros, *(column for pair in each for column in pair)], axis=1) * counts[:, None])
+            rows.append(data.observed[row] * counts)
     if not rows or not parts:
         return {}
     solved = np.linalg.lstsq(np.concatenate(columns), np.concatenate(rows), rcond=None)[0][2:]
@@ -454,18 +484,20 @@ def _whole(piece: _Piece, interval: float) -> Iterator[tuple[int, int]]:
 
 
 def _stretches(
-    foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float
-) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:
+    foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float,
+    edge: int,
+) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:  # fmt: skip
     """Pieces of about equal length, and whether each is held out: of a file so marked, else evenly over every file.
 
     What creeps or steps in the course of a record shows only in pieces that are held out from all over it. The ends of
-    a record are left out: what a model does to a motion is not known there, because what was before is not.
+    a record, `edge` instants, are left out: what a model does to a motion is not known there, because what was before
+    is not.
     """
     by_file = any(table.held_out for table in foreign.tables)
     share = foreign.manifest.compared.held_out
     found, held, before = [], [], dict.fromkeys((table.label for table in foreign.tables), 0)
     for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
-        begin, end, first = begin + EDGE, end - EDGE, first + EDGE
+        begin, end, first = begin + edge, end - edge, first + edge
         seconds = (end - begin) * interval
         count = max(1, round(seconds / min(PIECE, max(seconds / PIECES, SHORTEST_PIECE))))
         length = (end - begin) // count

@@ -28,14 +28,15 @@ PER_DECADE = 12.0
 
 def device_noise(data: TrackRecords, sheets: Sequence[SheetNoise | None]) -> tuple[DeviceNoise | None, ...]:
     """Of every channel, None where neither a rest nor a data sheet tells."""
-    rests = list(_rests(data))
-    return tuple(_of_channel(data, row, rests, sheet) for row, sheet in enumerate(sheets))
+    return tuple(_of_channel(data, row, list(_rests(data, row)), sheet) for row, sheet in enumerate(sheets))
 
 
-def _rests(data: TrackRecords) -> Iterator[slice]:
-    """Instants at which the case stands, without their margins, within the records."""
+def _rests(data: TrackRecords, row: int) -> Iterator[slice]:
+    """Instants at which the case stands and a channel counts, without their margins, within the records."""
     speed = np.sqrt(np.sum(data.rate**2, axis=0))
     still = speed < STILL * math.sqrt(float(np.mean(speed**2)))
+    if data.kept is not None:
+        still &= data.kept[row]
     margin = math.ceil(MARGIN / data.interval)
     for first, last in data.records:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still[first:last], [False]]).astype(np.int8)))

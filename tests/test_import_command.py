@@ -46,7 +46,7 @@ def test_import_show_runs_and_verify_go_together(folder: Path) -> None:
     assert said.splitlines()[-1].startswith("next: rig compare 20")
     shown = rig(folder, "show").stdout
     assert "imported rotation of A1: completed, 1 of 1 files" in shown
-    assert "found on import: gyro_z_dps counts against the reference" in shown
+    assert "found on import: swing: gyro_z_dps counts against the reference" in shown
     assert "1 of 1" in rig(folder, "runs").stdout
     assert "sound (completed" in rig(folder, "verify").stdout
 
@@ -54,7 +54,7 @@ def test_import_show_runs_and_verify_go_together(folder: Path) -> None:
 def test_import_as_json(folder: Path) -> None:
     said = json.loads(rig(folder, "import", "swing.yaml", "--json").stdout)
     assert said["files"][0]["rate"] == pytest.approx(100.0)
-    assert [one["kind_of"] for one in said["findings"]] == ["sign"]
+    assert [one["kind"] for one in said["findings"]] == ["sign"]
     assert (folder / "runs" / said["run"] / "seal.json").exists()
 
 

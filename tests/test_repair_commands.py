@@ -84,7 +84,7 @@ def test_the_hidden_effect_is_named_with_its_true_size(diagnosis: Mapping[str, A
 
 def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(diagnosis: Mapping[str, Any]) -> None:
     assert set(diagnosis) == {
-        "verdict", "groups", "candidates", "excluded", "untold", "faults", "description", "cannot_see",
+        "verdict", "groups", "candidates", "excluded", "untold", "findings", "description", "cannot_see",
     }  # fmt: skip
     before = max(group["ratio"] for group in diagnosis["groups"])
     for one in diagnosis["candidates"]:
@@ -119,7 +119,7 @@ def test_one_level_only_is_said(runs: Path) -> None:
 
 def test_comparing_shows_where_the_model_fails_and_draws_it(runs: Path, first_run: str) -> None:
     found = asked(runs, "compare", first_run, "--model", str(runs / "none.yaml"), "--png")
-    assert set(found) == {"groups", "worst", "figures"}
+    assert set(found) == {"groups", "worst", "findings", "figures"}
     assert found["groups"]
     assert 1 <= len(found["worst"]) <= 3
     assert all(Path(path).read_bytes() for path in found["figures"])

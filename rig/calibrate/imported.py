@@ -133,7 +133,7 @@ def _of_one_unit(runs: Sequence[Recorded]) -> None:
 def _notes(found: _Fitted, still: Sequence[Foreign]) -> Iterator[str]:
     yield from found.notes
     for data in still:
-        yield from data.found
+        yield from (one.text for one in data.found)
 
 
 def _of_experiment(experiment: Experiment, foreign: Mapping[str, Foreign], assumed: Assumed) -> Iterator[Result]:

@@ -146,7 +146,8 @@ def _with(one: Pull, other: Pull) -> Pull:
 
 def spoilt(experiment: Experiment) -> tuple[str, ...]:
     """What is to be said of samples that are no measurement: what made them may have changed others too."""
-    found = tuple(dict.fromkeys(one for part in experiment.fit.parts for one in part.faults))
+    faults = (one for part in experiment.fit.parts for one in part.faults if not one.accepted)
+    found = tuple(dict.fromkeys(one.in_words for one in faults))
     return (f"samples that are no measurement: {'; '.join(found[:FEW])}",) if found else ()
 
 

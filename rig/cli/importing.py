@@ -40,7 +40,10 @@ def import_(
     \f
     How a manifest is written: [manifests](manifest.md). `--json` gives `run`, `unit`, `kind`, `simulated`, `files` (a
     list of `path`, `label`, `sha256`, `bytes`, `rows`, `rate`, `held_out`), `channels` (`name`, `role`, `quantity`) and
-    `findings`; with `--guess` it gives `kind`, `manifest` (the draft) and `to_fill`.
+    `findings` (`kind`, `where`: the file, `channel`, `rows`: the first and the last, from 0, all `stretches` of them,
+    `time` of the first and the last since the record's first row, s, `stamp` of the first as it stands in the file,
+    `manifest_line` that names the column, whether they are `left_out` and `accepted`, and `text`); with `--guess` it
+    gives `kind`, `manifest` (the draft) and `to_fill`.
     """
     if (manifest is not None) + (guess is not None) + schema != 1:
         raise click.UsageError("wanted one of MANIFEST, --guess FILE and --schema")
@@ -95,7 +98,7 @@ def read_as_json(read: Read, name: str | None) -> dict[str, Any]:
             for f in read.files
         ],
         "channels": [{"name": c.channel, "role": c.role, "quantity": c.quantity} for c in read.manifest.columns],
-        "findings": [vars(one) for one in read.found],
+        "findings": [one.as_json() for one in read.found],
     }  # fmt: skip
 
 

@@ -99,6 +99,19 @@ def run_as_text(run: Run) -> str:
     return "\n".join(_run_lines(records, *concluded(records)))
 
 
+def findings_as_json(run: Run) -> dict[str, Any]:
+    """What was found on import; nothing of a run that was measured here, or is damaged."""
+    from rig.archive.records import Records
+    from rig.errors import RigError
+    from rig.foreign.tables import foreign_of, is_foreign
+
+    try:
+        records = Records(run)
+        return {"findings": [one.as_json() for one in foreign_of(records).found]} if is_foreign(records) else {}
+    except RigError:
+        return {}
+
+
 def _imported_lines(records: Records) -> list[str]:
     """An imported run: its files, what was found on import, and where the data come from."""
     from rig.foreign.tables import foreign_of
@@ -117,7 +130,7 @@ def _imported_lines(records: Records) -> list[str]:
         lines += [f"  traceable by {standard.name}, {said}"]
     lines += [f"  {t.label}: {len(t.values)} rows{', held out' if t.held_out else ''}" for t in data.tables]
     lines += [f"  channel {c.channel}: {c.quantity}, {c.role}" for c in made.columns]
-    lines += [f"  found on import: {text}" for text in data.found]
+    lines += [f"  found on import: {one.in_words}" for one in data.found]
     if made.kind == "static":
         from rig.parts.reading.rest import at_rest
 

@@ -102,9 +102,9 @@ def compare(
 
     \f
     `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `ratio`, `heldout_ratio`,
-    `noise_from`),
-    `worst` (a list of `where`, `ratio`, `in_words`) and `figures`; with `--as-is` `groups`, `with_levels`
-    (groups again), `levels` (a list of `channel`, `relative`, `u`) and `shape_holds`.
+    `noise_from`), `worst` (a list of `where`, `ratio`, `in_words`), `findings` (as `rig import` gives them) and
+    `figures`; with `--as-is` `groups`, `with_levels` (groups again), `levels` (a list of `channel`, `relative`, `u`)
+    and `shape_holds`.
     """
     work = opened(names, runs, model, start, effects)
     if as_is:
@@ -116,7 +116,8 @@ def compare(
         print_json(found.as_json(drawn))
         return
     notes = _notes_text(work)
-    said = [*groups_text(found.groups), *worst_text(found.worst), *untold_text(found.groups), *notes]
+    left_out = [f"found: {one.in_words}" for one in found.faults]
+    said = [*groups_text(found.groups), *worst_text(found.worst), *untold_text(found.groups), *left_out, *notes]
     click.echo("\n".join([_title("compare", work), *said]))
     for path in drawn:
         click.echo(f"figure: {path}")
@@ -266,7 +267,8 @@ def diagnose(
     \f
     `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`), `groups` as `rig compare` does, `untold`
     (groups with all steps taken whose noise is known only from what the model leaves over: on these no `adequate`
-    stands), `faults` (sentences on samples that are no measurement and were left out), `candidates` best
+    stands), `findings` (as `rig import` gives them: samples that were left out, and what else looks wrong),
+    `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
     `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
     was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, `why`), `description` and `cannot_see`.
@@ -294,7 +296,7 @@ def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]
         "candidates": [one.as_json() for one in said.candidates],
         "excluded": [one.as_json() for one in said.excluded],
         "untold": [one.as_json() for one in said.untold],
-        "faults": list(said.faults),
+        "findings": [one.as_json() for one in said.faults],
         "description": completed(said.description),
         "cannot_see": [completed(one) for one in said.cannot_see],
     }
@@ -342,8 +344,9 @@ def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
         yield f"whether that is noise cannot be told: {_to_know(said.untold)}"
     else:
         yield errors
-    if said.faults:
-        yield f"the records hold samples that are no measurement ({'; '.join(said.faults[:FEW])}): look at them first"
+    if words := [one.in_words for one in said.faults if not one.accepted]:
+        more = f" and {len(words) - FEW} more" if len(words) > FEW else ""
+        yield f"the records hold what is no measurement ({'; '.join(words[:FEW])}{more}): look at it first"
 
 
 def candidate_text(one: Candidate, nearest: bool) -> list[str]:

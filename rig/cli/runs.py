@@ -53,14 +53,14 @@ def show(name: str, runs: Path, as_json: bool) -> None:
     ```
 
     `status` is one of the [states](../explanation/records-and-durability.md#seal-and-states). In a damaged run what is
-    unknown is `null`.
+    unknown is `null`. An imported run has `findings` besides, as `rig import` gives them.
     """
     from rig.archive.runs import Runs
     from rig.cli import outcome
 
     run = Runs(runs).open(name)
     if as_json:
-        print_json(run.summary())
+        print_json({**run.summary(), **outcome.findings_as_json(run)})
     else:
         click.echo(outcome.run_as_text(run))
 

@@ -27,6 +27,7 @@ from rig.fit.parameters import Estimate, covariance_of, estimates, independent, 
 from rig.fit.quality import error_at, error_of, heldout_error, worst_of
 from rig.model import Effect, Quantity, Term
 from rig.motion import Array
+from rig.parts.part import Finding
 
 OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of the shelf but a part of every channel
 OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
@@ -96,8 +97,8 @@ class Conclusion:
 
     `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
     `worst_at` says where the model as given fails most: its error there, and what is left of that. `untold` are groups
-    of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` sentences on
-    samples that were left out.
+    of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` samples that were
+    left out, and what else looks wrong with the records.
     """
 
     verdict: str
@@ -114,7 +115,7 @@ class Conclusion:
     diagnosis: Diagnosis = field(repr=False)
     excluded: tuple[Excluded, ...] = ()
     untold: tuple[Group, ...] = ()
-    faults: tuple[str, ...] = ()
+    faults: tuple[Finding, ...] = ()
 
     @property
     def taken(self) -> tuple[Candidate, ...]:

@@ -346,7 +346,7 @@ def _concluded(
     if not fine:
         verdict = "unlisted"
     elif not steps:
-        doubtful = adequacy.untold(final) or any(part.faults for part in final.parts)
+        doubtful = adequacy.untold(final) or any(not one.accepted for part in final.parts for one in part.faults)
         verdict = "undecided" if doubtful else "adequate"
     else:
         verdict = "missing"

@@ -27,7 +27,7 @@ from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
 from rig.model import Term
 from rig.motion import Array
-from rig.parts.part import Origin
+from rig.parts.part import Finding, Origin
 from rig.parts.remainder import Mask
 
 CONDITIONS = 3
@@ -95,8 +95,14 @@ class Comparison:
         """What `rig compare` prints."""
         worst = [{"where": one.where, "ratio": one.ratio, "in_words": one.in_words} for one in self.worst]
         return {
-            "groups": [one.as_json() for one in self.groups], "worst": worst, "figures": [str(p) for p in figures],
+            "groups": [one.as_json() for one in self.groups], "worst": worst,
+            "findings": [one.as_json() for one in self.faults], "figures": [str(p) for p in figures],
         }  # fmt: skip
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """What looks wrong with the records."""
+        return tuple(dict.fromkeys(one for part in self.fit.parts for one in part.faults))
 
 
 def compare(evidence: Evidence, terms: Sequence[Term] = (), poles: bool = True, shared: bool = False) -> Comparison:

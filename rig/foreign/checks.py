@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from rig.foreign import lines as foreign_lines
 from rig.foreign import pairs as foreign_pairs
 from rig.foreign import turns
-from rig.foreign.faults import FROZEN, GAP, STILL, faults, listed, runs
+from rig.foreign.faults import FROZEN, GAP, STILL, faults
+from rig.foreign.finding import Finding, listed, runs, stretches_of
 from rig.foreign.manifest import KINDS
-from rig.foreign.pairs import Finding
 from rig.foreign.stamps import rounded, set_back
 from rig.foreign.tables import Foreign, Table
 
@@ -36,7 +36,7 @@ DROPPED = 5  # whole rows that repeat
 
 def findings(data: Foreign) -> list[Finding]:
     """Everything that looks wrong in imported data, file by file."""
-    found = [one for table in data.tables for one in _of_table(data, table)]
+    found = [data.located(table, one) for table in data.tables for one in _of_table(data, table)]
     return [*found, *foreign_lines.across(data)]
 
 
@@ -63,12 +63,13 @@ def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     if len(back := set_back(data.stamps(table))):
         row, raw = int(back[0]), data.stamps(table)
         text = f"the clock was set back at {listed(back)}, the first time from {raw[row - 1]:.6g} s to {raw[row]:.6g} s"
-        yield Finding("time_set_back", table.label, f"{text}: what follows is taken to go on from there")
+        yield Finding("time_set_back", table.label, f"{text}: what follows is taken to go on from there",
+                      stretches=stretches_of(back))  # fmt: skip
     stamps = data.time(table)
     bad = np.flatnonzero(~np.isfinite(stamps))
     if len(bad):
         text = f"{len(bad)} time stamps are not numbers: {listed(bad)}"
-        yield Finding("time_missing", table.label, text)
+        yield Finding("time_missing", table.label, text, stretches=stretches_of(bad))
     places = np.flatnonzero(np.isfinite(stamps))
     if len(places) < 3:
         return
@@ -78,7 +79,8 @@ def _of_time(data: Foreign, table: Table) -> Iterator[Finding]:
     if len(back):
         k = int(back[0])
         worst = f"the first from {stamps[rows[k] - 1]:.6g} s to {stamps[rows[k]]:.6g} s"
-        yield Finding("time_backwards", table.label, f"time runs backwards at {listed(rows[back])}, {worst}")
+        text = f"time runs backwards at {listed(rows[back])}, {worst}"
+        yield Finding("time_backwards", table.label, text, stretches=stretches_of(rows[back]))
     forward = steps[steps > 0.0]
     if len(forward) < 2:
         yield Finding("time_constant", table.label, "time does not run: nearly all time stamps are the same")
@@ -92,7 +94,8 @@ def _twice_and_gaps(table: Table, steps: Array, rows: NDArray[np.int64], usual: 
     twice = np.flatnonzero(steps == 0.0)
     if len(twice):
         text = f"{len(twice)} time stamp{' is' if len(twice) == 1 else 's are'} the same as the one before"
-        yield Finding("time_duplicates", table.label, f"{text}: {listed(rows[twice])}")
+        found = stretches_of(rows[twice])
+        yield Finding("time_duplicates", table.label, f"{text}: {listed(rows[twice])}", stretches=found)
     wide = np.flatnonzero(steps > GAP * usual)
     if len(wide):
         longest = wide[int(np.argmax(steps[wide]))]
@@ -105,7 +108,7 @@ def _twice_and_gaps(table: Table, steps: Array, rows: NDArray[np.int64], usual: 
         text += f"; about {lost} sample{' is' if lost == 1 else 's are'} missing" if lost else ""
         beside = "stands" if late == 1 else "stand"
         text += f"; {late} {beside} beside a time stamp that is there twice: logged late, not lost" if late else ""
-        yield Finding("time_gaps", table.label, text)
+        yield Finding("time_gaps", table.label, text, stretches=stretches_of(rows[wide]))
 
 
 def _lost(steps: Array, odd: NDArray[np.int64]) -> int:
@@ -159,10 +162,9 @@ def _of_values(data: Foreign, table: Table) -> Iterator[Finding]:
             continue
         if np.ptp(finite) == 0.0:
             text = f"{column.channel}: every row holds {finite[0]:.6g}"
-            yield Finding("constant", table.label, text)
+            yield Finding("constant", table.label, text, column.channel)
             continue
-        for one in faults(data, table, column):
-            yield Finding(one.kind, table.label, one.text)
+        yield from faults(data, table, column)
 
 
 def _not_numbers(data: Foreign, table: Table) -> Iterator[Finding]:
@@ -180,7 +182,7 @@ def _not_numbers(data: Foreign, table: Table) -> Iterator[Finding]:
         count = f"{int(lacking.sum())} of {len(lacking)} rows are not numbers"
         where = f"in {len(stretches)} stretch{'' if len(stretches) == 1 else 'es'}"
         text = f"{name}: {count}, {where}, the longest {longest} rows from row {first}"
-        yield Finding("not_numbers", table.label, text)
+        yield Finding("not_numbers", table.label, text, channels[0], stretches_of(np.flatnonzero(lacking)))
 
 
 def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
@@ -196,14 +198,16 @@ def _of_whole_rows(data: Foreign, table: Table) -> Iterator[Finding]:
     if zeros.any() and _not_by_chance(moving[~zeros] == 0.0, zeros):
         where = listed(np.flatnonzero(zeros))
         n = int(zeros.sum())
-        yield Finding("zeros", table.label, f"{n} row{' is' if n == 1 else 's are'} all zeros: {where}")
+        text = f"{n} row{' is' if n == 1 else 's are'} all zeros: {where}"
+        yield Finding("zeros", table.label, text, stretches=stretches_of(np.flatnonzero(zeros)))
     same = np.all(np.diff(moving, axis=0) == 0.0, axis=1) & ~zeros[1:]
     stretches = [(first, n + 1) for first, n in runs(same) if n + 1 >= DROPPED]
     rest = np.diff(moving, axis=0)[~same] == 0.0
     if stretches and float(np.prod(np.mean(rest, axis=0))) ** (DROPPED - 2) * len(values) < 1e-3:
         first, n = max(stretches, key=lambda one: one[1])
         text = f"whole rows repeat in {len(stretches)} stretch{'' if len(stretches) == 1 else 'es'}"
-        yield Finding("rows_repeat", table.label, f"{text}, the longest {n} rows from row {first}")
+        found = tuple((begin, begin + count - 1) for begin, count in stretches)
+        yield Finding("rows_repeat", table.label, f"{text}, the longest {n} rows from row {first}", stretches=found)
 
 
 def _moves(values: Array) -> bool:

@@ -95,7 +95,7 @@ def _looked_at(draft: Draft) -> Iterator[str]:
     if draft.time is not None and rate:
         yield f"{rate:.6g} samples per second"
     scaled = not any(one.unit == "counts" or (not one.unit and UNIT_KINDS[one.quantity]) for one in draft.named)
-    yield from (one.text for one in findings(data) if scaled or one.kind_of != "unit")
+    yield from (one.text for one in findings(data) if scaled or one.kind != "unit")
 
 
 def body(draft: Draft, *, filled: bool) -> Iterator[str]:

@@ -9,21 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.foreign import outliers
+from rig.foreign.finding import Finding, Rows, listed, runs, stretches_of
 from rig.foreign.manifest import KINDS, Column
 from rig.foreign.tables import Foreign, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
-Kind = Literal["marks", "alone", "clipped", "frozen", "reference_step"]
-SHOWN = 3  # row numbers that a sentence lists
 FROZEN = 20  # rows of one value that are looked at
 GAP = 1.5  # times the usual interval
 # what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
@@ -32,25 +29,23 @@ STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "
 SIGNALS = ("acceleration", "rate", "voltage", "unstated")
 
 
-@dataclass(frozen=True)
-class Fault:
-    """Rows of one channel that are no measurement, (k,), and a sentence about them."""
+def faults(data: Foreign, table: Table, column: Column) -> list[Finding]:
+    """What is wrong with single samples of a column of a file that is sampled in time: with when, and left out."""
+    accepted = column.findings == "accepted"
+    return [
+        replace(data.located(table, replace(one, where=table.label)), left_out=True, accepted=accepted)
+        for one in _found(data, table, column)
+    ]
 
-    kind: Kind
-    channel: str
-    rows: Rows
-    text: str
 
-
-def faults(data: Foreign, table: Table, column: Column) -> list[Fault]:
-    """What is wrong with single samples of a column of a file that is sampled in time."""
+def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
     values = table.of(column.column)
     finite = values[np.isfinite(values)]
     if not KINDS[data.manifest.kind].timed or column.quantity == "quaternion" or column.quantity in STILL:
         return []
     if len(finite) < 2 * FROZEN or np.ptp(finite) == 0.0:
         return []
-    found: list[Fault] = []
+    found: list[Finding] = []
     if column.quantity in SIGNALS:
         found += _clipped(column, values)
         found += _outliers(column, values, _beside(data, table, column))
@@ -81,26 +76,17 @@ def bridged(values: Array, rows: Rows) -> Array:
     return np.where(good, values, np.interp(np.arange(len(values)), there, values[there]))
 
 
-def said(data: Foreign) -> list[str]:
-    """Sentences about all faults in all files that a model is not compared with."""
+def left_out(data: Foreign) -> list[Finding]:
+    """All samples in all files that a model is not compared with."""
     return [
-        f"{table.label}: {one.text}; left out"
+        one
         for table in data.tables for column in data.manifest.columns if column.role in ("device", "reference")
         for one in faults(data, table, column)
     ]  # fmt: skip
 
 
-def runs(flags: Mask) -> list[tuple[int, int]]:
-    """Stretches of true: first row and length."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
-    return [(int(begin), int(end - begin)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def listed(rows: Rows) -> str:
-    """Row numbers in words: `row 5`, `rows 5, 9, 12 and 19 more`."""
-    some = ", ".join(str(row) for row in rows[:SHOWN])
-    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
-    return f"row{'' if len(rows) == 1 else 's'} {some}{more}"
+def _of(column: Column, kind: str, rows: Rows, text: str) -> Finding:
+    return Finding(kind, "", text, column.channel, stretches_of(rows))
 
 
 # samples that stand out
@@ -112,7 +98,7 @@ def _beside(data: Foreign, table: Table, column: Column) -> list[Array]:
     return [table.of(one.column) for one in others] if column.role == "device" else []
 
 
-def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterator[Fault]:
+def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterator[Finding]:
     """Numbers that stand for nothing, and rows that stand alone; what other signals feel too is a knock."""
     rest = values.copy()
     for mark in outliers.marks(values):
@@ -120,19 +106,19 @@ def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterato
         many = f"{n} row{' holds' if n == 1 else 's hold'} {mark.value:.6g}"
         text = f"{column.channel}: {many}, all others lie within {mark.low:.4g} to {mark.high:.4g}: {listed(mark.rows)}"
         advice = f"; if it stands for no number, `missing: {mark.value:.6g}` says so"
-        yield Fault("marks", column.channel, mark.rows, text + advice)
+        yield _of(column, "marks", mark.rows, text + advice)
         rest[mark.rows] = math.nan
     rows = outliers.alone(rest)
     rows = rows[~np.any([outliers.jumping(one)[rows] for one in beside], axis=0)] if beside else rows
     if n := len(rows):
         text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
-        yield Fault("alone", column.channel, rows, f"{text}: {listed(rows)}, the first at {values[rows[0]]:.6g}")
+        yield _of(column, "alone", rows, f"{text}: {listed(rows)}, the first at {values[rows[0]]:.6g}")
 
 
 # stretches
 
 
-def _clipped(column: Column, values: Array) -> Iterator[Fault]:
+def _clipped(column: Column, values: Array) -> Iterator[Finding]:
     """Plateaus at an extreme that the signal enters at speed: a range that was exceeded.
 
     A signal that turns by itself comes to its extreme in its smallest steps; a cut one arrives in large ones.
@@ -150,10 +136,10 @@ def _clipped(column: Column, values: Array) -> Iterator[Fault]:
         if entries and np.median(entries) > max(3.0 * smallest, 0.1 * float(np.median(moving))):
             share = f"{count} rows in {len(flats)} stretches stand at {extreme:.6g}"
             text = f"{column.channel}: clipped at the {name}: {share}, the first from row {flats[0][0]}"
-            yield Fault("clipped", column.channel, np.flatnonzero(at), text)
+            yield _of(column, "clipped", np.flatnonzero(at), text)
 
 
-def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Iterator[Fault]:
+def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Iterator[Finding]:
     """A value that repeats far longer than it would by chance while another channel moves."""
     same = np.diff(values) == 0.0
     stretches = [(first, n + 1) for first, n in runs(same) if n + 1 >= FROZEN]
@@ -171,7 +157,7 @@ def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Itera
         text = (
             f"{column.channel}: frozen for {len(rows)} rows {where} (at {values[first]:.6g}) while other channels move"
         )
-        yield Fault("frozen", column.channel, rows, text)
+        yield _of(column, "frozen", rows, text)
 
 
 def _moves_beside(values: Array, first: int, count: int) -> bool:
@@ -214,7 +200,7 @@ def _kin(data: Foreign, one: Column, other: Column) -> bool:
 # the reference's angle
 
 
-def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[Fault]:
+def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[Finding]:
     """Where an angle jumps from one row to the next and goes on from there: counts that were lost, or a wrong index."""
     angle = np.asarray((values - column.zero) / column.scale, np.float64)
     there = np.flatnonzero(np.isfinite(angle))
@@ -232,7 +218,7 @@ def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[F
     rows = there[np.array(pairs) + 1]
     size = math.degrees(float(moved[pairs[int(np.argmax(np.abs(moved[pairs])))]]))
     text = f"{column.channel}: the reference steps by {size:.3g}° at {listed(rows)}"
-    return [Fault("reference_step", column.channel, rows, text)]
+    return [_of(column, "reference_step", rows, text)]
 
 
 def _rejoined(angle: Array, rows: Rows) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,12 @@ import numpy as np
 from rig.archive.runs import Runs
 from rig.errors import BadInput, ConfigError, Problem
 from rig.foreign import readers as foreign_files
-from rig.foreign.checks import Finding, findings
+from rig.foreign.checks import findings
+from rig.foreign.finding import Finding
 from rig.foreign.manifest import KINDS, Manifest, Reading, Source, as_json
 from rig.foreign.manifest_file import load
-from rig.foreign.tables import PROCEDURE, Array, Foreign, Table, without_missing
-from rig.yaml import config
+from rig.foreign.tables import PROCEDURE, Array, Foreign, Table, lines_of, without_missing
+from rig.yaml import config, document
 from rig.yaml.document import Document, KeyPath
 
 
@@ -51,13 +52,15 @@ class Read:
     @property
     def data(self) -> Foreign:
         """As the analysis will see it."""
-        return foreign(self.manifest, [file.table for file in self.files], self.found)
+        written = document.read_text(self.text.decode(), str(self.path))
+        data = foreign(self.manifest, [file.table for file in self.files], self.found)
+        return replace(data, lines=lines_of(written, self.manifest))
 
 
 def foreign(made: Manifest, tables: Sequence[Table], found: Sequence[Finding] = ()) -> Foreign:
     """Imported data that are not in the archive yet."""
     whole = tuple(without_missing(made, table) for table in tables)
-    return Foreign(made.label, made, whole, tuple(one.text for one in found))
+    return Foreign(made.label, made, whole, tuple(found))
 
 
 def open_manifest(path: Path, folder: Path | None = None) -> Read:
@@ -66,19 +69,19 @@ def open_manifest(path: Path, folder: Path | None = None) -> Read:
     Raises ConfigError with every mistake by file, line and column.
     """
     made = load(path)
-    document = config.read(path)
+    written = config.read(path)
     problems: list[Problem] = []
     files: list[File] = []
     for number, source in enumerate(made.files):
         try:
-            files.append(_read(document, made, number, source, folder or path.parent))
+            files.append(_read(written, made, number, source, folder or path.parent))
         except ConfigError as error:
             problems += error.problems
-    problems += _of_segments(document, made, files)
+    problems += _of_segments(written, made, files)
     if problems:
         raise ConfigError(sorted(set(problems)))
-    data = foreign(made, [file.table for file in files])
-    return Read(path, path.read_bytes(), made, tuple(files), (*_twice(files), *_odd(files), *findings(data)))
+    read = Read(path, path.read_bytes(), made, tuple(files), (*_twice(files), *_odd(files)))
+    return replace(read, found=(*read.found, *findings(read.data)))
 
 
 def csv_of(reading: Reading) -> foreign_files.Csv:
@@ -96,7 +99,7 @@ def wanted(made: Manifest) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*stamps, *named, *beside]))
 
 
-def _read(document: Document, made: Manifest, number: int, source: Source, folder: Path) -> File:
+def _read(written: Document, made: Manifest, number: int, source: Source, folder: Path) -> File:
     at: KeyPath = ("files", number, "path")
     path = folder / source.path
     try:
@@ -104,28 +107,28 @@ def _read(document: Document, made: Manifest, number: int, source: Source, folde
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         text = f"found '{source.path}' in {folder} unreadable ({reason}), wanted a file (--data names another folder)"
-        raise ConfigError([document.problem(at, text)]) from error
+        raise ConfigError([written.problem(at, text)]) from error
     try:
         form = made.reading.format or foreign_files.format_of(path.name)
         there = foreign_files.names(raw, form, csv_of(made.reading))
-        _refuse_absent(document, made, there, source)
+        _refuse_absent(written, made, there, source)
         names = wanted(made)
         columns = foreign_files.read(raw, form, names, csv_of(made.reading))
     except ConfigError:
         raise
     except BadInput as error:
-        raise ConfigError([document.problem(at, f"{source.path}: {error}")]) from error
+        raise ConfigError([written.problem(at, f"{source.path}: {error}")]) from error
     values = columns.values
     if KINDS[made.kind].timed and len(values) < 2:
-        raise ConfigError([document.problem(at, f"{source.path}: found {len(values)} row, wanted a record")])
+        raise ConfigError([written.problem(at, f"{source.path}: found {len(values)} row, wanted a record")])
     table = Table(source.label or path.stem, names, values, dict(source.settings), source.held_out)
     return File(source, hashlib.sha256(raw).hexdigest(), len(raw), table, columns.said)
 
 
-def _refuse_absent(document: Document, made: Manifest, there: Sequence[str], source: Source) -> None:
+def _refuse_absent(written: Document, made: Manifest, there: Sequence[str], source: Source) -> None:
     """Columns that the file does not have, at the lines that name them."""
     problems = [
-        document.problem(at, f"{source.path}: {foreign_files.no_column(name, there)}")
+        written.problem(at, f"{source.path}: {foreign_files.no_column(name, there)}")
         for at, name in _places(made)
         if "[" not in name and name not in there and not any(one.startswith(f"{name}[") for one in there)
     ]
@@ -142,14 +145,14 @@ def _places(made: Manifest) -> Iterator[tuple[KeyPath, str]]:
             yield ("columns", number, "uncertainty_column"), one.uncertainty_column
 
 
-def _of_segments(document: Document, made: Manifest, files: Sequence[File]) -> Iterator[Problem]:
+def _of_segments(written: Document, made: Manifest, files: Sequence[File]) -> Iterator[Problem]:
     shortest = min((len(file.table.values) for file in files), default=0)
     for number, one in enumerate(made.segments):
         if made.kind == "rotation" and one.up is None:
-            yield document.problem(("segments", number), "found no key 'up', wanted it to say how the case stood")
+            yield written.problem(("segments", number), "found no key 'up', wanted it to say how the case stood")
         if files and one.last > shortest:
             text = f"found row {one.last}, wanted at most {shortest}, which is where the file ends"
-            yield document.problem(("segments", number, "last"), text)
+            yield written.problem(("segments", number, "last"), text)
 
 
 def _twice(files: Sequence[File]) -> Iterator[Finding]:
@@ -171,7 +174,7 @@ def keep(read: Read, runs: Runs) -> str:
     """Make the run: a block and a point for every file, what was found, and the seal. Returns its name."""
     with runs.create(PROCEDURE, _header(read, runs), label=read.manifest.label) as writer:
         for one in read.found:
-            writer.note("finding", **vars(one))
+            writer.note("finding", found=one.as_json())
         for index, file in enumerate(read.files):
             name = f"file-{index:04d}"
             writer.block(name, file.table.values, {"columns": list(file.table.names), "file": file.source.path})

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.errors import BadInput
+from rig.foreign.finding import Finding
 from rig.foreign.manifest import Column
-from rig.foreign.pairs import Finding, running
+from rig.foreign.pairs import running
 from rig.foreign.tables import Foreign, Table
 from rig.signals.tone import fit_four
 

@@ -91,7 +91,8 @@ FELT = ("acceleration", "rate", "unstated", "voltage")
 LINES = ("line_a", "line_b", "index_line")
 UNCERTAIN = ("uncertainty", "uncertainty_column", "coverage")
 TOLERANCE = {"tolerance": (_at("device", *FELT, *RATIO),)}
-SAMPLED = {**TOLERANCE, "bandwidth": (_at("device", *FELT),)}
+ACCEPTED = {"findings": (_at("device", *FELT), _at("reference", *FELT, "angle", "position"))}
+SAMPLED = {**TOLERANCE, **ACCEPTED, "bandwidth": (_at("device", *FELT),)}
 BANDS = {"compared", "compared.rate_band", "compared.force_band", "compared.held_out"}
 KINDS: Mapping[str, DataKind] = {
     "response": DataKind(
@@ -143,7 +144,7 @@ KINDS: Mapping[str, DataKind] = {
         keys=frozenset(
             {"time", "segments", "gravity", "gravity.uncertainty", "standard", "compared", "compared.held_out"}
         ),
-        columns=TOLERANCE,
+        columns={**TOLERANCE, **ACCEPTED},
         instead={
             "gain_uncertainty": ": gravity is the reference, and gravity.uncertainty says how well it is known",
         },
@@ -248,7 +249,8 @@ class Column(Strict):
     much later than the row's time stamp it was sampled.
     `uncertainty` (with unit) is a standard one of each number; `gain_uncertainty` a relative standard one of a
     reference's sensitivity. `uncertainty_column` names the column with an uncertainty of each row, `coverage` its k.
-    `noise` is the device's by its data sheet.
+    `noise` is the device's by its data sheet. `findings: accepted` says that somebody has looked at the samples that
+    import found to be no measurement: they are left out, and a model may be adequate all the same.
     """
 
     column: str = Field(min_length=1)
@@ -269,6 +271,7 @@ class Column(Strict):
     uncertainty_column: str | None = None
     coverage: float = Field(default=1.0, gt=0)
     noise: SheetNoise | None = None
+    findings: Literal["accepted"] | None = None
 
     @property
     def channel(self) -> str:

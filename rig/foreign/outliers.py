@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.foreign.finding import runs
+
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 FEWEST = 40  # numbers that say what is usual
@@ -142,10 +144,9 @@ def _by_span(values: Array) -> Rows:
 
 def _short(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Without what lasts longer than a few rows."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
     kept = np.zeros(len(flags), np.bool_)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        kept[begin:end] = end - begin <= LONGEST
+    for first, count in runs(flags):
+        kept[first : first + count] = count <= LONGEST
     return kept
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
+from rig.foreign.finding import Finding, stretches_of
 from rig.foreign.manifest import UNIT_KINDS, Axis, Column
 from rig.foreign.tables import Foreign, Table
 
@@ -25,15 +26,6 @@ NEAR = 0.08  # a factor this near to that of a unit is that unit
 LEAST_OFF = 0.1  # a factor nearer to one than this is the calibration's business
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 HALF = 0.83  # of π: a phase at the lowest frequencies beyond it is a polarity
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that looks wrong: its kind in one word, the file's label, and a sentence with numbers."""
-
-    kind_of: str
-    where: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -199,13 +191,13 @@ def _sign_and_unit(data: Foreign, table: Table, pair: Pair) -> Iterator[Finding]
     device, reference = pair.device, pair.reference
     if slope < 0.0:
         text = f"{device.channel} counts against the reference: correlation {correlation:.3f} with {reference.channel}"
-        yield Finding("sign", table.label, f"{text}, factor {slope:.4g}")
+        yield Finding("sign", table.label, f"{text}, factor {slope:.4g}", device.channel)
     if device.quantity == "unstated" or reference.quantity == "unstated" or abs(correlation) < 0.9:
         return
     if abs(abs(slope) - 1.0) > max(LEAST_OFF, 1.5 * device.tolerance):
         fits = _explained(data, abs(slope), device, reference)
         text = f"{device.channel} shows {abs(slope):.4g} times what {reference.channel} says it should"
-        yield Finding("unit", table.label, f"{text}; {fits}")
+        yield Finding("unit", table.label, f"{text}; {fits}", device.channel)
 
 
 def _explained(data: Foreign, factor: float, device: Column, reference: Column | None) -> str:
@@ -259,7 +251,7 @@ def _attitude(data: Foreign, table: Table) -> Iterator[Finding]:
     off = np.flatnonzero(np.abs(size - 1.0) > 0.02)
     if len(off):
         text = f"{len(off)} quaternions are not of length one, the first in row {off[0]} ({size[off[0]]:.4g})"
-        yield Finding("quaternion", table.label, text)
+        yield Finding("quaternion", table.label, text, parts[0].channel, stretches_of(off))
     yield from _attitude_sense(data, table)
 
 
@@ -303,8 +295,9 @@ def _clock(data: Foreign, table: Table) -> Iterator[Finding]:
         sure = abs(rate) > 6.0 * scatter * math.sqrt(float(covariance[0, 0]))
         if sure and abs(rate) * span > max(2e-3, 4.0 * float(np.max(np.abs(left)))):
             grown = f"from {delays[0] * 1e3:.1f} ms to {delays[-1] * 1e3:.1f} ms in {span:.0f} s"
-            text = f"{pair.device.channel}: its delay against {pair.reference.channel} goes {grown}"
-            yield Finding("clock", table.label, f"{text}: the two clocks differ by {rate * 1e6:.0f} ppm")
+            name = pair.device.channel
+            text = f"{name}: its delay against {pair.reference.channel} goes {grown}"
+            yield Finding("clock", table.label, f"{text}: the two clocks differ by {rate * 1e6:.0f} ppm", name)
 
 
 def _delays(pair: Pair, parts: int = 8) -> tuple[Array, Array, Array]:
@@ -343,10 +336,10 @@ def _turns(data: Foreign, table: Table) -> Iterator[Finding]:
             name = f"{segment.label or segment.turn}: {gyro.channel} integrates to {math.degrees(turned):.4g}°"
             wanted = f"for a turn of {math.degrees(segment.angle):.4g}°"
             if abs(factor) > 0.0 and factor < 0.0:
-                yield Finding("sign", table.label, f"{name} {wanted}: it counts against it")
+                yield Finding("sign", table.label, f"{name} {wanted}: it counts against it", gyro.channel)
             if abs(abs(factor) - 1.0) > max(2 * LEAST_OFF, 1.5 * gyro.tolerance):
-                fits = _turn_fits(data, gyro, abs(factor))
-                yield Finding("unit", table.label, f"{name} {wanted}, {abs(factor):.4g} times as much{fits}")
+                text = f"{name} {wanted}, {abs(factor):.4g} times as much{_turn_fits(data, gyro, abs(factor))}"
+                yield Finding("unit", table.label, text, gyro.channel)
 
 
 def _turn_fits(data: Foreign, gyro: Column, factor: float) -> str:
@@ -370,7 +363,7 @@ def _gravity(data: Foreign, table: Table) -> Iterator[Finding]:
     said = f"; it would fit with {first.unit} being {' or '.join(f.split(' in ')[1].split(' ')[0] for f in fits)}"
     if not fits:
         said = "; " + _explained(data, ratio, first, None)
-    yield Finding("unit", table.label, text + said)
+    yield Finding("unit", table.label, text + said, first.channel)
 
 
 def still_magnitude(vector: Array, size: int = 50) -> float:
@@ -390,7 +383,7 @@ def _response(data: Foreign, table: Table) -> Iterator[Finding]:
     bad = np.flatnonzero(~(frequency > 0.0))
     if len(bad):
         text = f"{len(bad)} frequencies are not positive, the first in row {bad[0]}"
-        yield Finding("frequency", table.label, text)
+        yield Finding("frequency", table.label, text, stretches=stretches_of(bad))
     response = _complex(data, table)
     good = (frequency > 0.0) & np.isfinite(response)
     if good.sum() < 3:
@@ -414,10 +407,10 @@ def _phase_unit(data: Foreign, table: Table) -> Iterator[Finding]:
         largest = float(np.max(np.abs(numbers[np.isfinite(numbers)]), initial=0.0))
         if column.unit == "rad" and 20.0 < largest <= 400.0:
             text = f"{column.channel} reaches {largest:.4g}, too much for rad; it would fit with ° instead of rad"
-            yield Finding("unit", table.label, text)
+            yield Finding("unit", table.label, text, column.channel)
         elif column.unit in ("°", "deg") and len(numbers) > 8 and largest <= 2.0 * math.pi and np.ptp(numbers) > 1.0:
             text = f"{column.channel} stays within ±{largest:.3g}°, which looks like rad"
-            yield Finding("unit", table.label, text)
+            yield Finding("unit", table.label, text, column.channel)
 
 
 def _low_end(data: Foreign, table: Table, frequency: Array, response: NDArray[np.complex128]) -> Iterator[Finding]:
@@ -433,7 +426,7 @@ def _low_end(data: Foreign, table: Table, frequency: Array, response: NDArray[np
     near = [name for name, k in known.items() for f in (k, 1.0 / k) if abs(size / f - 1.0) < NEAR]
     if near and not column.unit and abs(size - 1.0) > 1.5 * column.tolerance:
         text = f"{column.channel} is {size:.4g} at the lowest frequencies, a factor of {near[0]} away from one"
-        yield Finding("unit", table.label, f"{text}: device and reference may be in different units")
+        yield Finding("unit", table.label, f"{text}: device and reference may be in different units", column.channel)
 
 
 def _stated(data: Foreign, table: Table) -> Iterator[Finding]:
@@ -442,4 +435,4 @@ def _stated(data: Foreign, table: Table) -> Iterator[Finding]:
         if u is not None and np.any(~(u > 0.0)):
             rows = np.flatnonzero(~(u > 0.0))
             text = f"{column.channel}: {len(rows)} uncertainties are not positive, the first in row {rows[0]}"
-            yield Finding("uncertainty", table.label, text)
+            yield Finding("uncertainty", table.label, text, column.channel, stretches_of(rows))

@@ -6,8 +6,8 @@ A table holds what the files held, to the bit; `si` is where counts and units be
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from rig import units
 from rig.archive.records import Recorded
 from rig.errors import BadInput
-from rig.foreign.manifest import Column, Manifest, from_json
+from rig.foreign.finding import Finding, from_json
+from rig.foreign.manifest import Column, Manifest
+from rig.foreign.manifest import from_json as manifest_of
 from rig.foreign.stamps import onward, rounded
+from rig.yaml import document
+from rig.yaml.document import Document
 
 Array = NDArray[np.float64]
 PROCEDURE = "import"
@@ -56,7 +60,8 @@ class Foreign:
     run: str
     manifest: Manifest
     tables: tuple[Table, ...]
-    found: tuple[str, ...]  # what was found wrong with the files on import, in words
+    found: tuple[Finding, ...]  # what was found wrong with the files on import
+    lines: Mapping[str, int] = field(default_factory=dict)  # of the manifest, in which a channel is named
 
     def si(self, table: Table, column: Column) -> Array:
         """One column in SI, (n,): (number − zero) ÷ numbers per SI unit; NaN where the file has none."""
@@ -94,6 +99,17 @@ class Foreign:
         interval = base.interval if base.interval is not None else 1.0 / (base.rate or math.nan)
         return np.asarray(np.arange(len(table.values)) * interval, np.float64)
 
+    def located(self, table: Table, one: Finding) -> Finding:
+        """A finding in one of its files with when its rows were sampled, and the manifest's line."""
+        line = self.lines.get(one.channel) if one.channel or one.kind.startswith("time") else None
+        if not one.stretches or self.manifest.time is None:
+            return replace(one, manifest_line=line)
+        time, base = self.time(table), self.manifest.time
+        times = tuple((float(time[first]), float(time[last])) for first, last in one.stretches)
+        known = time[np.isfinite(time)]
+        stamp = None if base.column is None else float(table.of(base.column)[one.stretches[0][0]])
+        return replace(one, times=times, since=float(known[0]) if len(known) else 0.0, stamp=stamp, manifest_line=line)
+
     def u(self, table: Table, column: Column) -> Array | None:
         """Standard uncertainty of every number, SI, (n,); None if the manifest states none."""
         if column.uncertainty_column is not None:
@@ -125,14 +141,17 @@ def foreign_of(records: Recorded) -> Foreign:
     """The imported data of a run. Raises BadInput for a run that was not imported."""
     if not is_foreign(records):
         raise BadInput(f"{records.name}: found no imported data, wanted a run that was imported")
-    made = from_json(records.header["imported"])
+    made = manifest_of(records.header["imported"])
     tables = tuple(without_missing(made, _table(records, body)) for _, body in sorted(records.points.items()))
-    found = tuple(str(one["text"]) for one in _findings(records))
-    return Foreign(records.name, made, tables, found)
+    found = tuple(from_json(entry.body.get("found", entry.body)) for entry in records.lines if entry.kind == "finding")
+    written = document.read_text(str(records.header["manifest"]["text"]), str(records.header["manifest"]["path"]))
+    return Foreign(records.name, made, tables, found, lines_of(written, made))
 
 
-def _findings(records: Recorded) -> Iterator[Mapping[str, Any]]:
-    return (entry.body for entry in records.lines if entry.kind == "finding")
+def lines_of(written: Document, made: Manifest) -> dict[str, int]:
+    """In which line of a manifest's file each channel is named, and the time."""
+    columns = {one.channel: written.locate(("columns", k, "column"))[0] for k, one in enumerate(made.columns)}
+    return {"": written.locate(("time",))[0], **columns}
 
 
 def _table(records: Recorded, body: Mapping[str, Any]) -> Table:

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.foreign.finding import Finding, runs
 from rig.foreign.manifest import Column
-from rig.foreign.pairs import AXES, Finding, running
+from rig.foreign.pairs import AXES, running
 from rig.foreign.tables import Array, Foreign, Table
 
 BLOCK = 0.25  # s, of which it is asked whether the case stood still
@@ -138,8 +139,7 @@ def _rests(values: Array, size: int) -> list[tuple[int, int, Array, Array]]:
     for columns in (slice(0, 3), slice(3, 6)):
         scatter = np.sqrt(np.sum(np.var(blocks[:, :, columns], axis=1), axis=1))
         quiet &= scatter < STILL * max(float(np.quantile(scatter, QUIET)), 1e-12)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], quiet, [False])).astype(np.int8)))
-    spans = [(b, e) for b, e in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True) if e - b >= 2]
+    spans = [(first, first + length) for first, length in runs(quiet) if length >= 2]
     means = np.array([blocks[b:e].mean(axis=(0, 1)) for b, e in spans]).reshape(-1, 6)
     up = means[:, :3] - _zero(means[:, :3])
     up /= np.linalg.norm(up, axis=1, keepdims=True)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.foreign.finding import Finding as Finding
 from rig.model import Channels, Effect, Local, Quantity, Term, at_work, labelled
 from rig.motion import Array, Motion
 from rig.parts.remainder import (
@@ -44,14 +45,15 @@ class Part(ABC):
     `instruments`: kinds of reference with effects of their own. `logged`: signals beside the motion that its records
     hold: temperature, supply, source. `formulas`: shapes of a formula that this motion may
     show, beside those that any may. `extra` (rows, k): nuisances with a prior of one standard deviation each,
-    called `extra_title`. `faults`: sentences on samples that are no measurement and were left out.
+    called `extra_title`. `faults`: samples that are no measurement and were left out, and what else looks wrong with
+    the records.
     """
 
     instruments: frozenset[str] = frozenset()
     logged: frozenset[str] = frozenset()
     formulas: ClassVar[tuple[str, ...]] = ()
     extra_title: ClassVar[str] = "ripple"
-    faults: tuple[str, ...] = ()
+    faults: tuple[Finding, ...] = ()
 
     def __init__(
         self, name: str, run: str, channels: Channels, width: int, *, row_names: tuple[str, ...] | None = None,

@@ -36,7 +36,7 @@ def opened(folder: Path, text: str, data: Mapping[str, Array]) -> Read:
 
 
 def kinds(read: Read) -> list[str]:
-    return [one.kind_of for one in read.found]
+    return [one.kind for one in read.found]
 
 
 def turning(folder: Path, data: Mapping[str, Array], **how: str) -> Read:
@@ -125,8 +125,9 @@ def test_findings_are_in_the_journal(tmp_path: Path) -> None:
     read = turning(tmp_path, data)
     runs = Runs(tmp_path / "runs")
     found = foreign_of(Records(runs.open(keep(read, runs)))).found
-    assert found == tuple(one.text for one in read.found)
-    assert "gyro_z_dps counts against the reference" in found[0]
+    assert [one.as_json() for one in found] == [one.as_json() for one in read.found]
+    assert [(one.channel, one.manifest_line is not None) for one in found] == [("gyro_z_dps", True)]
+    assert "gyro_z_dps counts against the reference" in found[0].text
 
 
 def test_nothing_is_written_if_a_file_or_a_column_is_missing(tmp_path: Path) -> None:
@@ -177,7 +178,7 @@ def test_time_stamps_that_are_there_twice_are_found(tmp_path: Path, rows: set[in
     data = made.turning()
     for row in sorted(rows):
         data["t_s"][row] = data["t_s"][row - 1]
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     assert f"row{'' if len(rows) == 1 else 's'} {min(rows)}" in found["time_duplicates"]
     assert "missing" not in found.get("time_gaps", "")
 
@@ -187,7 +188,7 @@ def test_time_stamps_that_are_there_twice_are_found(tmp_path: Path, rows: set[in
 def test_time_that_runs_backwards_is_found(tmp_path: Path, row: int, back: float) -> None:
     data = made.turning()
     data["t_s"][row:] -= back
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     assert any(f"at row {row}, the first" in found.get(kind, "") for kind in ("time_backwards", "time_set_back"))
 
 
@@ -217,7 +218,7 @@ def test_rows_of_zeros_are_found(tmp_path: Path, rows: set[int]) -> None:
     data = made.turning()
     for name in made.TURNING:
         data[name][list(rows)] = 0.0
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     listed = ", ".join(str(row) for row in sorted(rows)[:3])
     assert f"all zeros: row{'' if len(rows) == 1 else 's'} {listed}" in found["zeros"]
 
@@ -227,7 +228,7 @@ def test_rows_of_zeros_are_found(tmp_path: Path, rows: set[int]) -> None:
 def test_a_frozen_channel_is_found(tmp_path: Path, first: int, count: int) -> None:
     data = made.turning()
     data["gyro_z_dps"][first : first + count] = data["gyro_z_dps"][first]
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     assert f"the longest {count} rows from row {first}" in found["frozen"]
 
 
@@ -237,7 +238,7 @@ def test_whole_rows_that_repeat_are_found(tmp_path: Path, first: int, count: int
     data = made.turning()
     for name in made.TURNING:
         data[name][first : first + count] = data[name][first]
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     assert f"the longest {count} rows from row {first}" in found["rows_repeat"]
 
 
@@ -282,7 +283,7 @@ def test_a_gyro_in_another_unit_than_stated_is_found(tmp_path: Path, factor: flo
         data["gyro_z_dps"] /= factor
         data["t_s"] *= factor
     read = opened(tmp_path, text, data)
-    assert any(one.kind_of == "unit" and said in one.text for one in read.found), read.found
+    assert any(one.kind == "unit" and said in one.text for one in read.found), read.found
 
 
 @pytest.mark.parametrize(("written_in", "stated"), [(9.80665, "g"), (1.0, "m/s²"), (1000.0, "g")])
@@ -310,7 +311,7 @@ def test_clocks_that_differ_are_found(tmp_path: Path, sign: float, ratio: float)
     data = made.turning()
     t = data["t_s"] * (1.0 + sign * ratio)
     data["gyro_z_dps"] = 66.0 * np.cos(1.1 * t) + 72.5 * np.cos(2.9 * t + 0.4)
-    found = {one.kind_of: one.text for one in turning(tmp_path, data).found}
+    found = {one.kind: one.text for one in turning(tmp_path, data).found}
     said = float(found["clock"].split("differ by ")[1].removesuffix(" ppm"))
     assert said == pytest.approx(-sign * ratio * 1e6, rel=0.1)
 
@@ -320,7 +321,7 @@ def test_an_axis_that_counts_against_a_pose_track_is_found(tmp_path: Path, axis:
     data = made.tracked()
     data[f"gyro_{axis}"] *= -1.0
     read = opened(tmp_path, made.tracked_manifest("d.csv"), data)
-    assert [(one.kind_of, one.text.split()[0]) for one in read.found] == [("sign", f"gyro_{axis}")]
+    assert [(one.kind, one.text.split()[0]) for one in read.found] == [("sign", f"gyro_{axis}")]
 
 
 def test_quaternions_the_other_way_round_are_found(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ def _turning() -> dict[str, Array]:
     data = made.turning(30.0)
     t = data["t_s"]
     data["late_s"], data["other_deg"], data["u_deg"] = 1.01 * t, 1.02 * data["encoder_deg"], 0.3 + 0.0 * t
+    data["spiked_dps"] = np.where(np.isin(np.arange(len(t)), (300, 900)), -2000.0, data["gyro_x_dps"])
     data["uneven_s"] = t + 2e-3 * np.random.default_rng(8).uniform(-1.0, 1.0, size=len(t))
     return data
 
@@ -117,7 +118,7 @@ SEGMENTS = [
 def numbers(read: Read) -> str:
     """All that a fit or a reader gets of the data, by value."""
     data = read.data
-    seen: list[Any] = [one.text for one in read.found]
+    seen: list[Any] = [one.in_words for one in read.found]
     seen += [(t.label, t.held_out, t.names, t.values.tobytes()) for t in data.tables]
     if data.manifest.kind == "static":
         return repr([*seen, list(at_rest(data))])
@@ -194,6 +195,7 @@ def swapped(body: Body) -> None:
 
 
 COUNTS = column("acc_x_g", sensitivity="1 counts per g", unit="")
+SPIKED = column("gyro_x_dps", column="spiked_dps")
 SHEET = column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz"})
 PLACED = put("rotation", "radius", to="100 mm")
 LABELLED = put("segments", 0, "up", to="-x")
@@ -248,6 +250,7 @@ CHANGES: dict[tuple[str, str], Change] = {
     ("Column", "gain_uncertainty"): ("rotation", nothing, column("encoder_deg", gain_uncertainty="2 %")),
     ("Column", "uncertainty_column"): ("response", nothing, column("mag", uncertainty_column="u_other")),
     ("Column", "coverage"): ("response", nothing, column("mag", coverage=2.0)),
+    ("Column", "findings"): ("rotation", SPIKED, both(SPIKED, column("spiked_dps", findings="accepted"))),
     ("SheetNoise", "density"): ("rotation", SHEET, column("gyro_z_dps", noise={"density": "0.05 (°/s)/√Hz"})),
     ("SheetNoise", "tolerance"): (
         "rotation", SHEET, column("gyro_z_dps", noise={"density": "0.03 (°/s)/√Hz", "tolerance": "50 %"})),
@@ -347,6 +350,7 @@ REFUSED: dict[str, tuple[str, Callable[[Body], None], str]] = {
     "an uncertainty of a gyro": ("rotation", column("gyro_z_dps", uncertainty="1 °/s"), "found 'uncertainty'"),
     "a coverage alone": ("rotation", column("encoder_deg", coverage=2.0), "wanted an uncertainty that it covers"),
     "noise of a reference": ("rotation", column("encoder_deg", noise={"density": "1 °/s"}), "found 'noise', wanted"),
+    "findings at rest": ("static", column("gyro_z", findings="accepted"), "found 'findings', wanted nothing"),
     "noise of free motion": ("motion", column("gyro_x", noise={"density": "1 (°/s)/√Hz"}), "found 'noise', wanted"),
     "noise of no such unit": ("rotation", column("gyro_z_dps", noise={"density": "1 µg/√Hz"}), "gyro noise"),
     "a corner that falls": (

@@ -75,7 +75,7 @@ def test_a_mark_is_named_at_import_has_no_noise_and_is_no_number_once_it_is_stat
     stated = text.replace("column: acc_x_g,", "column: acc_x_g, missing: -999.0,")
     (tmp_path / "m.yaml").write_text(stated, encoding="utf-8")
     read = open_manifest(tmp_path / "m.yaml")
-    assert [one.kind_of for one in read.found] == ["not_numbers"]
+    assert [one.kind for one in read.found] == ["not_numbers"]
     runs = Runs(tmp_path / "runs")
     kept = foreign_of(Records(runs.open(keep(read, runs))))
     assert np.count_nonzero(np.isnan(kept.si(kept.tables[0], kept.manifest.columns[0]))) == 3

@@ -15,7 +15,8 @@ from imported_worlds import Unit, evidence, rotation
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
 from rig.fit.quality import error_of
-from rig.foreign.faults import Fault, faults
+from rig.foreign.faults import faults
+from rig.foreign.finding import Finding
 from rig.foreign.tables import Foreign
 from rig.parts.track import TrackedMotion
 from rig.shelf import shelf
@@ -38,7 +39,7 @@ def turned(seed: int = 1) -> Foreign:
     return rotation(Unit(rate_gain=(1.0, 1.0, GAIN)), seed, rest=10.0, channels="r", jitter=1e-4)
 
 
-def found(foreign: Foreign) -> list[Fault]:
+def found(foreign: Foreign) -> list[Finding]:
     return [one for t in foreign.tables for c in foreign.manifest.columns for one in faults(foreign, t, c)]
 
 

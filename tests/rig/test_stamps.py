@@ -70,7 +70,7 @@ def test_import_says_so_and_speaks_of_no_jitter(tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_bytes(made.csv_bytes(data))
     (tmp_path / "m.yaml").write_text(made.turning_manifest("d.csv"), encoding="utf-8")
     (found,) = open_manifest(tmp_path / "m.yaml").found
-    assert found.kind_of == "time_rounded"
+    assert found.kind == "time_rounded"
     assert "whole multiples of 1 ms of an even clock, one every 6.25 ms" in found.text
 
 
@@ -117,7 +117,7 @@ def test_both_parts_of_a_record_are_compared_when_its_clock_was_set_back(tmp_pat
         read = open_manifest(tmp_path / "m.yaml")
         parts.append((read, evidence(read.data).fitted()))
     (whole, first), (read, second) = parts
-    assert [one.kind_of for one in (*whole.found, *read.found)] == ["time_set_back"]
+    assert [one.kind for one in (*whole.found, *read.found)] == ["time_set_back"]
     assert "at row 2500" in read.found[0].text
     assert second.count > 0.9 * first.count
     gains = [one.state.local(one.parts[0], 0).sensitivity[1] for one in (first, second)]

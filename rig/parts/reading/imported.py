@@ -22,6 +22,7 @@ from rig.parts.reading.reading import Reading
 from rig.parts.reference_gain import gains_of, shared
 
 Reader = Callable[[Foreign], Reading]
+DOUBTFUL = ("unit", "turns")  # findings on import with which no model is adequate, whatever it leaves over
 
 
 def read(runs: Sequence[Recorded]) -> Reading:
@@ -38,7 +39,7 @@ def reading_of(foreign: Foreign) -> Reading:
     if reader is None:
         wanted = f"wanted one with motion (its noise: `rig show {foreign.run}`)"
         raise BadInput(f"{foreign.run}: found a {kind} record, {wanted}")
-    found, faulty = reader(foreign), tuple(faults.said(foreign))
+    found, faulty = reader(foreign), (*faults.left_out(foreign), *(o for o in foreign.found if o.kind in DOUBTFUL))
     for part in found.parts:
         part.faults = faulty
     by_experiment: dict[str, list[str]] = {}

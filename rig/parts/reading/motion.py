@@ -86,7 +86,8 @@ def rotations(foreign: Foreign) -> TrackRecords:
 
 def _of_faults(foreign: Foreign) -> str:
     """What may have made the gaps of a record, to go on a sentence with."""
-    return "".join(f"; {one}" for one in faults.said(foreign)[:SHOWN])
+    words = [one.in_words for one in faults.left_out(foreign)]
+    return "".join(f"; {one}" for one in words[:SHOWN])
 
 
 def motions(foreign: Foreign) -> TrackRecords:

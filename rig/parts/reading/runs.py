@@ -37,4 +37,4 @@ def remarks(run: Recorded) -> Iterator[str]:
     if run.status != "completed":
         yield f"{run.name} is {run.status}: not every point of it was measured"
     if is_foreign(run):
-        yield from foreign_of(run).found
+        yield from (one.text for one in foreign_of(run).found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from rig.printed import DEGREE, SHOWN, G, rounded
 PROBE = 1e-3  # of a standard uncertainty: a step over which parameters are straight
 USUAL = 3.0  # factor beyond the usual sizes that is still plausible
 COVERAGE = 2.0  # k
+TIED = 0.95  # correlation of two parameters of which one is hardly known by itself
+LOOSE = 3.0  # standard uncertainties: what is not as far from nought is not known by itself
 
 # kinds of `rig.units` that suit themselves to the size
 KINDS: Mapping[str, str] = {
@@ -97,6 +100,76 @@ def estimates(term: Term, covariance: Array) -> dict[str, Estimate]:
         known = math.isfinite(variance) and variance >= 0.0
         found[name] = Estimate(float(value), unit[name], math.sqrt(variance) if known else None)
     return found
+
+
+@dataclass(frozen=True)
+class Tied:
+    """Two parameters that are not known apart, the correlation of their estimates, and what is known of them together:
+    `what`, such as `shift/time_constant`, is `together`; '' and None where no simple power of one times the other is.
+    """
+
+    names: tuple[str, str]
+    correlation: float
+    what: str = ""
+    together: Estimate | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """Names, correlation, and the joint quantity, SI."""
+        known = None if self.together is None else {"quantity": self.what, **self.together.as_json()}
+        return {"parameters": list(self.names), "correlation": self.correlation, "together": known}
+
+    @property
+    def text(self) -> str:
+        """In words, for both together."""
+        said = f"{' and '.join(self.names)} are not known apart (correlation {self.correlation:.4f})"
+        return f"{said}; together: {self.what} = {self.together.text}" if self.together is not None else said
+
+
+def tied(term: Term, covariance: Array) -> Tied | None:
+    """The two parameters that an estimate ties to each other, if one by itself could as well be nought.
+
+    `covariance` of the coordinates that a fit moves, (k, k). What is known of two is the product of powers whose
+    relative uncertainty is least.
+    """
+    found = estimates(term, covariance)
+    slopes = _slopes(
+        term, np.sqrt(np.maximum(np.diag(covariance), 0.0)), {name: one.unit for name, one in found.items()}
+    )
+    loose = [name for name, one in found.items() if one.u and math.isfinite(one.value)]
+    pairs = [
+        (_correlation(slopes[a], slopes[b], covariance), a, b)
+        for a, b in itertools.combinations(loose, 2)
+        if any((found[name].u or 0.0) * LOOSE > abs(found[name].value) for name in (a, b))
+    ]
+    rho, a, b = max(pairs, key=lambda pair: abs(pair[0]), default=(0.0, "", ""))
+    if abs(rho) < TIED:
+        return None
+    what, together = _together((found[a], found[b]), (a, b), rho)
+    return Tied((a, b), rho, what, together)
+
+
+def _correlation(a: Array, b: Array, covariance: Array) -> float:
+    size = float(a @ covariance @ a) * float(b @ covariance @ b)
+    return float(np.clip(float(a @ covariance @ b) / math.sqrt(size), -1.0, 1.0)) if size > 0.0 else 0.0
+
+
+def _together(both: tuple[Estimate, Estimate], names: tuple[str, str], rho: float) -> tuple[str, Estimate | None]:
+    """The better known of a product and a quotient, if it is known at all."""
+    one, other = both
+    assert one.u is not None
+    assert other.u is not None
+    r, s = one.u / one.value, other.u / other.value  # with their signs
+    power = 1.0 if r * s * rho < 0.0 else -1.0
+    value = one.value * other.value**power
+    relative = math.sqrt(max(r**2 + s**2 + 2.0 * power * rho * r * s, 0.0))
+    if relative * LOOSE > 1.0:
+        return "", None
+    unit = f"{one.unit}·{other.unit}" if power > 0.0 else f"{_grouped(one.unit)}/{_grouped(other.unit)}"
+    return f"{names[0]}{'·' if power > 0.0 else '/'}{names[1]}", Estimate(value, unit, abs(value) * relative)
+
+
+def _grouped(unit: str) -> str:
+    return f"({unit})" if "/" in unit or "·" in unit else unit
 
 
 def _slopes(term: Term, u: Array, unit: Mapping[str, str]) -> dict[str, Array]:

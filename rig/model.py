@@ -65,13 +65,15 @@ __all__ = [
 class Coordinate:
     """One fitted number: a step over which the effect is straight, and starts for those that cannot start at zero.
 
-    `searched` ones are tried at their starts and stay there (a whole number, one of a few ranges).
+    `searched` ones are tried at their starts and stay there (a whole number, one of a few ranges). Those that `shape`
+    do nothing while the others, which are sizes, are nought.
     """
 
     name: str
     step: float
     starts: tuple[float, ...] = (0.0,)
     searched: bool = False
+    shape: bool = False
 
 
 @dataclass(frozen=True)
@@ -269,6 +271,12 @@ class Term:
     def key(self) -> str:
         """Name within a model."""
         return f"{self.effect.name} ({self.on})" if len(self.effect.quantities) > 1 else self.effect.name
+
+    @property
+    def nought(self) -> bool:
+        """Whether it does nothing, as all its sizes are nought."""
+        sizes = [self.at[c.name] for c in self.effect.coordinates if not (c.shape or c.searched)]
+        return bool(sizes) and not any(sizes)
 
     def moved(self, **at: float) -> Term:
         """The same at other coordinates."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -306,6 +306,14 @@ def rotation(
         compared={"rate_band": f"{band} Hz", "force_band": f"{band} Hz"},
     )  # fmt: skip
     return Foreign("made", made, (Table("log", ("t", "angle", *SHOWN), table[twice], {}, False),), ())
+
+
+def changed(foreign: Foreign, column: str, law: Callable[[Array], Array]) -> Foreign:
+    """The same log with another channel in the place of one, whose rows the law turns into its own, (n,)."""
+    (table,) = foreign.tables
+    values, at = table.values.copy(), table.names.index(column)
+    values[:, at] = law(values[:, at])
+    return replace(foreign, tables=(replace(table, values=values),))
 
 
 @dataclass(frozen=True)

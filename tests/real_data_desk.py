@@ -232,7 +232,9 @@ def _steps(said: Json) -> Iterator[str]:
                 yield f"   - not told apart from it: {said_of}"
         for below in said["excluded"]:
             if below["step"] == number:
-                yield f"   - ranked below: {below['effect']} would leave {below['error_after']:.4g} ({below['why']})"
+                left = below["error_after"]
+                said_of = "not refitted" if left is None else f"would leave {left:.4g}"
+                yield f"   - ranked below: {below['effect']}, {said_of} ({below['why']})"
 
 
 def _unseen(said: Json) -> list[str]:

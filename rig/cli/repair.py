@@ -270,8 +270,10 @@ def diagnose(
     stands), `findings` (as `rig import` gives them: samples that were left out, and what else looks wrong),
     `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
-    `parameters` by name with `value`, `unit`, `u`; `plausible`, `because`, `separate_by`, and the `step` in which it
-    was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, `why`), `description` and `cannot_see`.
+    `parameters` by name with `value`, `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation`
+    and what is known of them `together`; `plausible`, `because`, `separate_by`, and the `step` in which it
+    was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`),
+    `description` and `cannot_see`.
     Errors of a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
@@ -310,6 +312,7 @@ def diagnosis_text(said: Conclusion) -> list[str]:
         lines += ["", *candidate_text(here[0], said.verdict == "unlisted")]
         lines += [f"  not excluded by this data: {_other_text(one)}" for one in here[1:]]
         lines += [
+            f"  ranked below: {one.effect}, not refitted: {one.why}" if one.error_after is None else
             f"  ranked below: in its place {one.effect} would leave {one.error_after:.4g}, {one.why}"
             for one in said.excluded if one.step == step
         ]  # fmt: skip
@@ -354,7 +357,7 @@ def candidate_text(one: Candidate, nearest: bool) -> list[str]:
     on = f" of the {one.on} channels" if one.on else ""
     head = f"{'nearest' if nearest else one.step}: {one.effect} ({one.title}{on}), probability {one.probability:.3g}"
     lines = [f"  {head}"]
-    lines += [f"     {name} = {value.text}" for name, value in one.parameters.items()]
+    lines += [f"     {said}" for said in _sizes(one)]
     size = "usual" if one.plausible else "NOT usual: look for another cause too"
     lines.append(f"     its size is {size}; U is expanded (k = 2)")
     lines.append(f"     error with it {one.error_after:.4g}, on held-out data {one.heldout_error_after:.4g} (noise 1)")
@@ -365,8 +368,16 @@ def candidate_text(one: Candidate, nearest: bool) -> list[str]:
     return lines
 
 
+def _sizes(one: Candidate) -> Iterator[str]:
+    """Its parameters; those that are not known apart in one sentence."""
+    apart = () if one.tied is None else one.tied.names
+    yield from (f"{name} = {value.text}" for name, value in one.parameters.items() if name not in apart)
+    if one.tied is not None:
+        yield one.tied.text
+
+
 def _other_text(one: Candidate) -> str:
-    values = ", ".join(f"{name} = {value.text}" for name, value in one.parameters.items())
+    values = ", ".join(_sizes(one))
     size = "" if one.plausible else ", not a usual size"
     return f"{one.effect} ({values}{size}), error {one.error_after:.4g}, probability {one.probability:.2g}"
 

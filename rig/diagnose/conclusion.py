@@ -23,7 +23,7 @@ from rig.diagnose.unseen import cannot_see
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import POLE_TOLERANCE, Fit
-from rig.fit.parameters import Estimate, covariance_of, estimates, independent, plausible
+from rig.fit.parameters import Estimate, Tied, covariance_of, estimates, independent, plausible, tied
 from rig.fit.quality import error_at, error_of, heldout_error, worst_of
 from rig.model import Effect, Quantity, Term
 from rig.motion import Array
@@ -33,7 +33,6 @@ OUTPUT_FILTER = "output_filter"  # what the paper's model lacks: no effect of th
 OWN_SENSITIVITY = "own_sensitivity"  # what the shared model lacks
 OWN = "own_law"  # name of a described formula in a model
 DETERMINED = 0.5  # of the prior uncertainty of a corner: below it the data have their say
-RANKED_BELOW = 4  # effects of a step that are said to be excluded
 EVENS = 0.5  # the highest probability of a candidate that leaves more than noise
 
 
@@ -58,6 +57,7 @@ class Candidate:
     separate_by: str
     step: int
     taken: bool
+    tied: Tied | None = None  # parameters that are not known apart
 
     def as_json(self) -> dict[str, Any]:
         """As `rig diagnose --json` gives it, SI; null for what has no finite value."""
@@ -69,6 +69,7 @@ class Candidate:
             "error_after": self.error_after,
             "heldout_error_after": _finite(self.heldout_error_after),
             "parameters": {name: one.as_json() for name, one in self.parameters.items()},
+            "not_known_apart": None if self.tied is None else self.tied.as_json(),
             "plausible": self.plausible,
             "because": self.because,
             "separate_by": self.separate_by,
@@ -79,11 +80,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Excluded:
-    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where."""
+    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where.
+
+    Without an error where it was not refitted, as it came nowhere near.
+    """
 
     step: int
     effect: str
-    error_after: float
+    error_after: float | None
     why: str
 
     def as_json(self) -> dict[str, Any]:
@@ -210,18 +214,23 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
 
 
 def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
-    """The next best of every step, beside all other steps' effects where they were refitted so."""
+    """The next best of every step, beside all other steps' effects."""
     for number, step in enumerate(diagnosis.steps, 1):
-        apart = [one for one in step.others if one not in step.members and one.fit is not None]
-        for choice in sorted(apart, key=lambda one: -one.gain)[:RANKED_BELOW]:
-            assert choice.fit is not None
-            worst = adequacy.worst(choice.fit)
-            where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
-            if not choice.possible:
-                where += "; its size is outside what physics allows"
-            elif choice.gain > step.taken.gain - CLASS:
-                where += "; this data does not exclude it"
-            yield Excluded(number, choice.term.key, error_of(choice.fit), where)
+        for choice in step.ranked_below:
+            fit = choice.whole or choice.fit
+            if choice.full and fit is not None:
+                yield Excluded(number, choice.term.key, error_of(fit), _why(diagnosis, choice, fit))
+            else:
+                yield Excluded(number, choice.term.key, None, f"it came nowhere near what {step.taken.name} removes")
+
+
+def _why(diagnosis: Diagnosis, choice: Choice, fit: Fit) -> str:
+    """Where an effect in the place of the one taken leaves most, and whether that excludes it."""
+    worst = adequacy.worst(fit)
+    where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
+    if not choice.possible:
+        return f"{where}; physics does not allow it"
+    return f"{where}; this data does not exclude it" if fit.objective < diagnosis.final.objective + CLASS else where
 
 
 def _candidates(evidence: Evidence, diagnosis: Diagnosis) -> Iterator[Candidate]:
@@ -251,6 +260,7 @@ def _candidate(
         separate_by=term.effect.separate_by,
         step=number,
         taken=is_taken,
+        tied=None if choice.term.effect.looks_in else tied(term, covariance),
     )
 
 

@@ -11,7 +11,7 @@ while records hold samples that are no measurement: what made them may have chan
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -32,9 +32,13 @@ PER_START = 1.5  # and for every factor e of starts tried
 FINDING = 30.0  # evidence that a test of its own must have
 CLASS = 9.0  # χ² within which another effect is not excluded by the data
 LARGEST_CLASS = 3
+MOST_CERTAIN = 1e3  # χ²
+RANKED_BELOW = 4  # effects of a step that are said to be excluded
 MOST_STEPS = 4
 REFITS = 8
 SHARE = 2e-3  # of the first effect's gain: a later effect must be worth more than the first one's own imprecision
+LIKELY = 0.6  # of what chance may give: where a score is as small as that it is straight, and no refit does much better
+PROMISE = 0.1  # of what is needed: a score was never seen to promise less of what a refit removed
 PAIRS = 8  # first effects that pairs are begun with
 PAIR_REFITS = 3
 QUARTER = 0.25  # of the misfit in excess of the noise
@@ -42,7 +46,10 @@ QUARTER = 0.25  # of the misfit in excess of the noise
 
 @dataclass(frozen=True)
 class Choice:
-    """One effect as it competes in a step: what it removes, how probable it is, and whether the data exclude it."""
+    """One effect as it competes in a step: what it removes, how probable it is, and whether the data exclude it.
+
+    Where it was not refitted in `full` it removes `gain` at least, and that is out of reach of what was taken.
+    """
 
     term: Term
     u: Mapping[str, float]
@@ -51,6 +58,8 @@ class Choice:
     probability: float
     because: str
     fit: Fit | None = field(default=None, repr=False)
+    full: bool = True
+    doubt: float = 1.0  # how many times more than by even noise a difference from the best may be chance
     whole: Fit | None = field(default=None, repr=False)  # beside all other steps' effects, where that is another fit
 
     @property
@@ -59,7 +68,7 @@ class Choice:
 
     @property
     def possible(self) -> bool:
-        """Whether physics allows its size."""
+        """Whether physics allows it at all."""
         return self.merit > -math.inf
 
 
@@ -72,6 +81,17 @@ class Step:
     others: tuple[Choice, ...]
     before: Fit = field(repr=False)
     after: Fit = field(repr=False)
+
+    @property
+    def ranked_below(self) -> list[Choice]:
+        """The next best that are not of its class, most of χ² removed first."""
+        apart = [one for one in self.others if one not in self.members and one.fit is not None]
+        return sorted(apart, key=lambda one: -one.gain)[:RANKED_BELOW]
+
+    @property
+    def excluded(self) -> list[Choice]:
+        """Those of them that were refitted in full: of the others nothing is known but that they are out of reach."""
+        return [one for one in self.ranked_below if one.full]
 
 
 @dataclass(frozen=True)
@@ -112,7 +132,7 @@ def diagnose(
         steps.append(step)
         current = step.after
         steps, current = _exchanged(steps, base, current, shelf, memory)
-    if steps and not adequacy.adequate(current):
+    if steps and (not adequacy.adequate(current) or _doubled(steps)):
         steps, current = _paired(steps, base, current, shelf, memory)
     steps, current = _pruned(steps, base, current)
     steps = _together(steps, base, current)
@@ -127,8 +147,8 @@ def _step(
         if finding.evidence > FINDING:
             return _by_test(evidence, current, finding), ()
     scored = search.scores(current, search.possible(shelf, current), memory)
-    choices = _choices(current, scored)
     least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
+    choices = _choices(current, scored, least=least)
     if not choices or choices[0].merit <= 0.0 or choices[0].gain < least:
         return None, tuple(scored)
     return _taken(current, choices), tuple(scored)
@@ -136,13 +156,12 @@ def _step(
 
 def _taken(current: Fit, choices: Sequence[Choice]) -> Step:
     """The step that the best of the choices makes, with those that the data do not tell from it."""
-    best = choices[0]
+    best = _polished(choices[0])
     assert best.fit is not None
-    after = fitting.fit(current.parts, best.fit.state, use=current.use)
-    best = replace(best, u=after.u(len(after.state.terms) - 1))
+    after = best.fit
     # where more than noise is left, a difference counts for less (Birge)
     apart = CLASS * max(1.0, after.chi2 / max(after.count, 1))
-    near = [k for k, one in enumerate(choices) if k and one.possible and one.gain > best.gain - apart]
+    near = [k for k, one in enumerate(choices) if k and one.possible and one.gain > best.gain - apart * one.doubt]
     near = near[: LARGEST_CLASS - 1]
     members = (best, *(_polished(choices[k]) for k in near))
     rest = (one for k, one in enumerate(choices) if k and k not in near)
@@ -171,6 +190,11 @@ def _exchanged(
     return steps, current
 
 
+def _doubled(steps: Sequence[Step]) -> bool:
+    """Whether two of the dynamics were taken: one may only mend what another is wrong in."""
+    return sum(step.taken.term.effect.stage == "dynamics" for step in steps) > 1
+
+
 def _paired(
     steps: list[Step], base: Fit, current: Fit, shelf: Mapping[str, Effect], memory: search.Memory
 ) -> tuple[list[Step], Fit]:
@@ -179,12 +203,15 @@ def _paired(
     The best effect alone may be a bad half of two, and no exchange of one at a time leads away from it.
     """
     best: tuple[Choice, Fit, list[Choice]] | None = None
-    lowest = current.objective - CLASS
+    lowest = current.objective + sum(_price(step.taken) for step in steps) - CLASS
     for choice in [one for one in steps[0].others if one.fit is not None and one.possible][1:PAIRS]:
         first = _with_terms(base, [choice.term])
         seconds = _choices(first, search.scores(first, search.possible(shelf, first), memory), PAIR_REFITS)
-        if seconds and first.objective - seconds[0].gain < lowest and seconds[0].merit > 0.0:
-            best, lowest = (choice, first, seconds), first.objective - seconds[0].gain
+        if not seconds or seconds[0].merit <= 0.0:
+            continue
+        whole = first.objective - seconds[0].gain + _price(choice) + _price(seconds[0])
+        if whole < lowest:
+            best, lowest = (choice, first, seconds), whole
     if best is None:
         return steps, current
     chosen, other = best[0].term, best[2][0].term
@@ -233,8 +260,11 @@ def _polished(choice: Choice) -> Choice:
     own parameters, and states too small an uncertainty.
     """
     assert choice.fit is not None
+    if choice.full:
+        return choice
     made = fitting.fit(choice.fit.parts, choice.fit.state, use=choice.fit.use)
-    return replace(choice, fit=made, u=made.u(len(made.state.terms) - 1))
+    gain, place = choice.gain + choice.fit.objective - made.objective, len(made.state.terms) - 1
+    return replace(choice, term=made.state.terms[place], gain=gain, fit=made, u=made.u(place), full=True)
 
 
 def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
@@ -250,22 +280,36 @@ def chance(score: Score | Candidate) -> float:
     return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
 
 
-def _merit(current: Fit, one: Candidate) -> float:
-    """χ² that it removes, less what chance gives and how unusual it is; nothing makes up for what cannot be."""
-    if not search.admissible(one.term, one.u):
-        return -math.inf
-    return one.gain - chance(one) * _unevenness(current, one.fit) - 2.0 * one.term.effect.rarity
+def _merits(current: Fit, refits: Sequence[Candidate], least: Fit) -> Iterator[tuple[float, float]]:
+    """χ² that each removes, less what chance gives and how unusual it and its size are; what cannot be has none.
+
+    The second number is that with the doubt of noise which is louder just where it acts. One that this does not leave
+    above nought counts no more than so; among the others the doubt says nothing of which it is.
+    """
+    for one in refits:
+        unusual = search.improbability(one.term, one.u) + 2.0 * one.term.effect.rarity
+        doubtful = one.gain - chance(one) * _unevenness(current, one.fit, least) - unusual
+        yield (one.gain - chance(one) - unusual if doubtful > 0.0 else doubtful), doubtful
 
 
-def _unevenness(before: Fit, after: Fit) -> float:
-    """How many times more than χ² of even noise chance may give, by the parts in which a candidate moves anything."""
+def _unevenness(before: Fit, after: Fit, least: Fit) -> float:
+    """How many times more than χ² of even noise chance may give, by the parts in which one fit moves from another.
+
+    Noise is what the best of all candidates leaves: before one is taken, what the truth explains stands just where it
+    acts, and the truth would be the most doubtful of all.
+    """
     offsets, change = after.offsets(), before.left - after.left
     size, found = 0.0, 0.0
     for part, first, end in zip(after.parts, offsets, offsets[1:], strict=False):
         weight = float(change[first:end] @ change[first:end])
-        factor = part.unevenness(change[first:end], before.left[first:end])
+        factor = part.unevenness(change[first:end], least.left[first:end])
         size, found = size + weight, found + weight * factor
     return found / size if size > 0.0 else 1.0
+
+
+def _price(one: Choice) -> float:
+    """χ² that an effect must be worth: what chance gives, and how unusual it and its size are."""
+    return chance_of(one.term) + 2.0 * one.term.effect.rarity + search.improbability(one.term, one.u)
 
 
 def chance_of(term: Term) -> float:
@@ -273,18 +317,28 @@ def chance_of(term: Term) -> float:
     return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1)
 
 
-def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS) -> list[Choice]:
-    """Refits of the best, most meritorious first, with probabilities among them and against chance."""
+def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS, least: float = 0.0) -> list[Choice]:
+    """Refits of the best, most meritorious first, with probabilities among them and against chance.
+
+    Where a step must be worth `least` of χ², none is refitted if no score comes near it.
+    """
     top = max((score.gain for score in scored), default=0.0)
-    least = max(0.5 * CHANCE, 0.02 * top)
-    refits = search.best(current, scored, most, least)
-    merits = [_merit(current, one) for one in refits]
-    highest = max([*merits, 0.0])
-    weights = [math.exp(0.5 * (merit - highest)) for merit in merits]
-    total = sum(weights) + math.exp(-0.5 * highest)
+    if top < PROMISE * least:
+        return []
+    chosen = [score for score in scored if score.gain > max(LIKELY * chance(score), 0.02 * top)]
+    refits = search.best(current, chosen[:most])
+    if not refits:
+        return []
+    least_left = min((current, *(one.fit for one in refits)), key=lambda fit: fit.objective)
+    merits = list(_merits(current, refits, least_left))
+    (highest, certain), best = max(zip(merits, refits, strict=True), key=lambda pair: pair[0])
+    highest = max(highest, -MOST_CERTAIN)
+    doubts = [_unevenness(best.fit, one.fit, least_left) for one in refits]
+    weights = [math.exp(0.5 * (one[0] - highest) / doubt) for one, doubt in zip(merits, doubts, strict=True)]
+    total = sum(weights) + math.exp(-0.5 * max(min(certain, MOST_CERTAIN), -MOST_CERTAIN))
     made = [
-        Choice(one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit)
-        for one, merit, weight in zip(refits, merits, weights, strict=True)
+        Choice(one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit, one.full, doubt)
+        for one, (merit, _), weight, doubt in zip(refits, merits, weights, doubts, strict=True)
     ]
     return sorted(made, key=lambda one: -one.merit)
 
@@ -319,7 +373,7 @@ def _together(steps: Sequence[Step], base: Fit, final: Fit) -> list[Step]:
 
 def _beside(step: Step, others: Sequence[Term], base: Fit, final: Fit) -> Step:
     made = {}
-    for one in step.members:
+    for one in [*step.members, *step.excluded]:
         taken = one is step.taken
         made[id(one)] = _as_in(final if taken else _with_terms(base, [*others, one.term]), one)
     again = tuple(made.get(id(one), one) for one in step.others)

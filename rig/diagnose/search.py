@@ -24,7 +24,11 @@ HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an 
 ROUNDING = 1e-6  # of a column's norm: less is no more than rounding
 TOLD = 1.0  # standard deviations that a step of the coordinate makes outside the span
 NARROW = 0.2  # of a column's norm outside the span: below it a refit needs all columns afresh
+REACH = 0.7  # of the best's gain: a quick refit that removes less was never seen to become the best
+WIDTH = 1.0  # decades: by how much sizes scatter beyond those that are usual
 ROUNDS = 8
+FIRST_ROUNDS = 4  # with all columns afresh; those within reach go on
+MANY = 8  # starts in a row: of more, every second is tried first
 SETTLED = 0.02  # of χ²
 
 
@@ -46,7 +50,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate after the refit. `gain` is the decrease of χ² and priors; `u` of the coordinates."""
+    """A candidate after the refit. `gain` is the decrease of χ² and priors; `u` of the coordinates.
+
+    Where it is not `full` the model's own columns stayed as they were: it removes at least that.
+    """
 
     term: Term
     gain: float
@@ -54,6 +61,7 @@ class Candidate:
     u: Mapping[str, float]
     steps: int
     size: int
+    full: bool = False
 
     @property
     def name(self) -> str:
@@ -132,7 +140,7 @@ class _Sight:
         for number, (part, raw) in enumerate(zip(self.found.parts, self.raws, strict=True)):
             local, terms = self.found.state.local(part, number), self.found.state.terms
             here = raw
-            if any(term.at.values()) and part.here([term]):
+            if not term.nought and any(term.at.values()) and part.here([term]):
                 here = raw.copy()
                 only = part.apart(term)
                 here[slice(None) if only is None else only] = part.raw(local, [*terms, term], only)
@@ -156,16 +164,18 @@ def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> l
 
 def _scored(sight: _Sight, term: Term) -> Score:
     starts = _starts(sight.found, term)
-    best = Score(term, term, 0.0, 0.0, max(len(starts), 1))
-    for start in starts:
-        one = _from(sight, term.moved(**start))
-        if one.gain > best.gain:
-            best = replace(
-                one, visible=max(one.visible, best.visible), steps=len(starts), size=max(one.size, best.size)
-            )
-        else:
-            best = replace(best, visible=max(one.visible, best.visible), size=max(one.size, best.size))
-    return best
+    row = len(starts) > MANY and not any(one.searched for one in term.effect.coordinates)
+    made = {place: _from(sight, term.moved(**starts[place])) for place in range(row, len(starts), 1 + row)}
+    if row:
+        tops = sorted(made, key=lambda place: -made[place].gain)[:2]
+        near = {place + way for place in tops for way in (-1, 1)} & set(range(len(starts)))
+        made |= {place: _from(sight, term.moved(**starts[place])) for place in near}
+    steps = max(len(starts), 1)
+    best = max(made.values(), key=lambda one: one.gain, default=None)
+    if best is None or best.gain <= 0.0:
+        best = Score(term, term, 0.0, 0.0, steps)
+    visible, size = (one.visible for one in made.values()), (one.size for one in made.values())
+    return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]))
 
 
 def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
@@ -230,19 +240,28 @@ def _refitted(sight: _Sight, score: Score) -> Candidate:
 
 def _afresh(found: Fit, score: Score) -> Candidate:
     state = replace(found.state, terms=(*found.state.terms, score.start))
-    made = fitting.fit(found.parts, state, use=found.use, iterations=ROUNDS)
+    made = fitting.fit(found.parts, state, use=found.use, iterations=FIRST_ROUNDS)
     return Candidate(made.state.terms[-1], found.objective - made.objective, made,
                      made.u(len(made.state.terms) - 1), score.steps, score.size)  # fmt: skip
 
 
+def completed(found: Fit, one: Candidate) -> Candidate:
+    """The candidate with all columns worked out afresh until nothing changes: only then is it known what it leaves."""
+    if one.full:
+        return one
+    made = fitting.fit(found.parts, one.fit.state, use=found.use)
+    place = len(made.state.terms) - 1
+    gain = found.objective - made.objective
+    return replace(one, term=made.state.terms[place], gain=gain, fit=made, u=made.u(place), full=True)
+
+
 def _quickly(sight: _Sight, score: Score) -> Candidate:
     found, size = sight.found, len(sight.inverse)
-    state = replace(found.state, terms=(*found.state.terms, score.term))
-    order = fitting.layout(found.parts, state)
-    state, left = _readjusted(sight, state, order, size)
-    if not np.isfinite(left).all():  # the linear estimate is beyond where the effect has values
+    order = fitting.layout(found.parts, replace(found.state, terms=(*found.state.terms, score.term)))
+    begun = _begun(sight, score, order)
+    if begun is None:  # the linear estimate is beyond where the effect has values
         return _afresh(found, score)
-    objective = float(left @ left) + fitting.penalty(found.parts, state)
+    state, left, objective = begun
     normal = found.normal
     for _ in range(ROUNDS):
         columns = _candidate_columns(sight, state)
@@ -263,6 +282,31 @@ def _quickly(sight: _Sight, score: Score) -> Candidate:
                objective - float(left @ left), found.use)  # fmt: skip
     return Candidate(state.terms[-1], found.objective - objective, made,
                      dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size)  # fmt: skip
+
+
+_Begun = tuple[fitting.State, Array, float]
+
+
+def _begun(sight: _Sight, score: Score, order: fitting.Layout) -> _Begun | None:
+    """Where a refit begins: at the linear estimate, or where that goes past a kink and does no good, at its own start.
+
+    None where the estimate has no value.
+    """
+    first = _standing(sight, score.term, order)
+    if first is None or score.start.nought or first[2] < sight.found.objective:
+        return first
+    other = _standing(sight, score.start, order)
+    return first if other is None or first[2] < other[2] else other
+
+
+def _standing(sight: _Sight, term: Term, order: fitting.Layout) -> _Begun | None:
+    """The model with this term, its own parameters readjusted: state, rows left, and their χ² with that of priors."""
+    found = sight.found
+    state = replace(found.state, terms=(*found.state.terms, term))
+    state, left = _readjusted(sight, state, order, len(sight.inverse))
+    if not np.isfinite(left).all():
+        return None
+    return state, left, fitting.squares(left) + fitting.penalty(found.parts, state)
 
 
 def _readjusted(sight: _Sight, state: fitting.State, order: fitting.Layout, size: int) -> tuple[fitting.State, Array]:
@@ -307,27 +351,48 @@ def _improved(
 
 def admissible(term: Term, u: Mapping[str, float]) -> bool:
     """Whether the parameters are within what physics allows, or no more than two standard uncertainties outside."""
+    return math.isfinite(improbability(term, u))
+
+
+def improbability(term: Term, u: Mapping[str, float]) -> float:
+    """How much less probable its size is than a usual one, as χ² (−2 ln of the odds); infinite for what cannot be.
+
+    Sizes scatter about the usual ones as a log-normal of `WIDTH` decades. The most probable within two standard
+    uncertainties counts.
+    """
     names = [name for name in term.at if u.get(name, 0.0) > 0.0]
+    least = math.inf
     for signs in itertools.product((0.0, 1.0, -1.0), repeat=len(names)):
         moved = {name: term.at[name] + 2.0 * sign * u[name] for name, sign in zip(names, signs, strict=True)}
         physical = term.effect.physical({**term.at, **moved})
         if all(_within(physical[p.name], p.bounds) for p in term.effect.parameters):
-            return True
-    return False
+            decades = (_decades(physical[p.name], p.typical) for p in term.effect.parameters)
+            least = min(least, sum((one / WIDTH) ** 2 for one in decades))
+    return least
 
 
 def _within(value: float, bounds: tuple[float, float]) -> bool:
     return math.isfinite(value) and bounds[0] <= value <= bounds[1]
 
 
-def best(found: Fit, candidates: Sequence[Score], most: int, least: float) -> list[Candidate]:
-    """Refits of the most promising candidates, best first; those that promise less than `least` of χ² are left out.
+def _decades(value: float, typical: tuple[float, float]) -> float:
+    """How far a size is outside the usual ones; nought is no size, and not unusual."""
+    low, high = min(map(abs, typical)), max(map(abs, typical))
+    if min(typical) < 0.0:  # a range about nought has no smallest size
+        low = 0.0
+    size = abs(value)
+    if size > high > 0.0:
+        return math.log10(size / high)
+    return math.log10(low / size) if 0.0 < size < low else 0.0
 
-    Some may have sizes that are not `admissible`.
-    """
-    chosen = [score for score in candidates if score.gain > least][:most]
+
+def best(found: Fit, chosen: Sequence[Score]) -> list[Candidate]:
+    """Refits, best first. Those within reach of the best that can be are refitted in full."""
     if not chosen:
         return []
     sight = _Sight.of(found)
     refits = [_refitted(sight, score) for score in chosen]
-    return sorted(refits, key=lambda one: -one.gain)
+    can_be = [one for one in refits if one.gain > 0.0 and admissible(one.term, one.u)]
+    least = REACH * max((one.gain for one in can_be), default=0.0)
+    made = [completed(found, one) if one in can_be and one.gain > least else one for one in refits]
+    return sorted(made, key=lambda one: -one.gain)

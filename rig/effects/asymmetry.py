@@ -11,7 +11,7 @@ class Asymmetry(Effect):
     equation = "V/S = u + ratio·|u|"
     quantities = BOTH
     coordinates = (Coordinate("ratio", 1e-3),)
-    parameters = (Parameter("ratio", "1", (-0.9, 0.9), (5e-4, 5e-3)),)
+    parameters = (Parameter("ratio", "1", (-1.0, 1.0), (5e-4, 5e-3)),)
     missing = "mean shifts by 2·ratio·A/π, lines at 2f (0.424·ratio·A) and 4f, all ∝ the level; no change of the gain"
     confused_with = ("quadratic", "saturation", "sensitivity")
     separate_by = "a second level (2f ∝ A against A², and a line at 4f); of a gyro, the table turned the other way"

@@ -1,5 +1,7 @@
 """Axis offset: the three accelerometers of one unit do not sense at one point (size effect)."""
 
+import math
+
 import numpy as np
 
 from rig.model import Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Values, arms
@@ -15,7 +17,7 @@ class AxisOffset(Effect):
     quantities = ("acceleration",)
     places = ("turntable",)
     coordinates = (Coordinate("offset", 1e-3),)
-    parameters = (Parameter("offset", "m", (-0.2, 0.2), (5e-4, 5e-3)),)
+    parameters = (Parameter("offset", "m", (-math.inf, math.inf), (5e-4, 5e-3)),)
     missing = "accelerometer error ∝ ω² and ∝ angular acceleration, different for each axis: no single radius fits"
     confused_with = ("lever_arm", "cross_axis", "quadratic")
     separate_by = "the unit turned by 90° on the platter: the differences between its axes go with the unit"

@@ -15,7 +15,7 @@ class BesselFilter(Effect):
     equation = "H = 15/(s³ + 6·s² + 15·s + 15), s = 1.755672·j·f/corner"
     quantities = BOTH
     coordinates = (Coordinate("period", 2e-5),)  # 1/corner in s
-    parameters = (Parameter("corner", "Hz", (0.1, 1e8), (1000.0, 5000.0)),)
+    parameters = (Parameter("corner", "Hz", (0.0, math.inf), (1000.0, 5000.0)),)
     missing = "gain falls as 0.31·(f/corner)² while the phase lags as 0.279·f/corner of a turn, the same at every level"
     confused_with = ("first_order_lag", "moving_average", "butterworth_filter", "delay", "ldv_low_pass")
     separate_by = "a sweep past the corner: three poles fall faster than one and have no zeros as a moving average has"

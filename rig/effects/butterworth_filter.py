@@ -13,7 +13,7 @@ class ButterworthFilter(Effect):
     equation = "H = 1/((s² + 0.76537·s + 1)·(s² + 1.84776·s + 1)), s = j·f/corner"
     quantities = BOTH
     coordinates = (Coordinate("period", 2e-5),)  # 1/corner in s
-    parameters = (Parameter("corner", "Hz", (0.1, 1e8), (1000.0, 5000.0)),)
+    parameters = (Parameter("corner", "Hz", (0.0, math.inf), (1000.0, 5000.0)),)
     missing = "the phase lags as 0.416·f/corner of a turn while the gain only falls as (f/corner)⁸/2, at every level"
     confused_with = ("delay", "bessel_filter", "moving_average", "first_order_lag", "resonance")
     separate_by = "a sweep past the corner: the gain of the filter falls there, that of a delay does not"

@@ -4,6 +4,8 @@ The time that is stated is already taken off each record; `extra` is what comes 
 the reference's (slots count from there).
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,7 @@ class ChannelSkew(Effect):
     equation = "t_k = t_stated + slot_k·extra"
     places = ("shaker",)
     coordinates = (Coordinate("extra", 1e-6),)
-    parameters = (Parameter("extra", "s", (-1e-3, 1e-3), (1e-7, 1e-5)),)
+    parameters = (Parameter("extra", "s", (-math.inf, math.inf), (1e-7, 1e-5)),)
     missing = "phase against the reference ∝ f and ∝ the slot in the scan, accelerometers and gyros alike; gain right"
     confused_with = ("delay", "ldv_delay", "first_order_lag")
     separate_by = "the scan in another order: skew goes with the slot, a delay stays with the sensor"

@@ -1,5 +1,7 @@
 """Cross-axis: every sensor also feels a share of the next axis (x of y, y of z, z of x), as if tilted towards it."""
 
+import math
+
 import numpy as np
 
 from rig.model import BOTH, NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
@@ -11,7 +13,7 @@ class CrossAxis(Effect):
     equation = "u = u_own + share·u_next"
     quantities = BOTH
     coordinates = (Coordinate("share", 0.01),)
-    parameters = (Parameter("share", "1", (-1.0, 1.0), (0.005, 0.03)),)
+    parameters = (Parameter("share", "1", (-math.inf, math.inf), (0.005, 0.03)),)
     missing = "a copy of the driven axis in the axis before it, in phase, the same share at every frequency and level"
     confused_with = ("transverse_motion", "multiplexer_settling", "crosstalk")
     separate_by = "the cube turned by 90° about the driven axis, or another axis driven: a true share goes along"

@@ -1,5 +1,7 @@
 """Capacitive crosstalk: every channel also sees how fast the next axis (x of y, y of z, z of x) changes."""
 
+import math
+
 import numpy as np
 
 from rig.model import BOTH, NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
@@ -12,7 +14,7 @@ class Crosstalk(Effect):
     quantities = BOTH
     places = ("shaker",)
     coordinates = (Coordinate("time_constant", 1e-6),)
-    parameters = (Parameter("time_constant", "s", (-0.01, 0.01), (3e-8, 3e-6)),)
+    parameters = (Parameter("time_constant", "s", (-math.inf, math.inf), (3e-8, 3e-6)),)
     missing = "a copy of the driven axis in the axis before it, a quarter turn ahead and ∝ f, the same at every level"
     confused_with = ("cross_axis", "multiplexer_settling", "channel_skew")
     separate_by = "a sweep with phase: crosstalk is ∝ f at a quarter turn, a cross-axis share flat and in phase"

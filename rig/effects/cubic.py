@@ -1,5 +1,7 @@
 """Cubic nonlinearity: the sensitivity grows or falls with the square of the input, alike for both signs."""
 
+import math
+
 import numpy as np
 
 from rig.model import BOTH, Array, Bend, Coordinate, Effect, Inverse, Motion, Parameter, Values
@@ -11,7 +13,7 @@ class Cubic(Effect):
     equation = "V/S = u + coefficient·u³"
     quantities = BOTH
     coordinates = (Coordinate("coefficient", 1e-5),)
-    parameters = (Parameter("coefficient", "1/(SI)²", (-0.1, 0.1), (3e-6, 3e-5)),)
+    parameters = (Parameter("coefficient", "1/(SI)²", (-math.inf, math.inf), (3e-6, 3e-5)),)
     missing = "gain changes by ¾·coefficient·A² and a line at 3f grows as A³/4, in phase, the same at every frequency"
     confused_with = ("odd_quadratic", "saturation", "resonance")
     separate_by = "two levels at two frequencies: gain ∝ A² against ∝ A (odd quadratic) or ∝ f² (resonance)"

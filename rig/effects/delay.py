@@ -13,7 +13,7 @@ class Delay(Effect):
     equation = "H = exp(−j·2π·f·time)"
     quantities = BOTH
     coordinates = (Coordinate("time", 5e-6),)
-    parameters = (Parameter("time", "s", (0.0, 1.0), (5e-6, 2e-2)),)
+    parameters = (Parameter("time", "s", (0.0, math.inf), (5e-6, 2e-2)),)
     missing = "the phase lags exactly ∝ f, in every channel of this quantity alike, while the gain is right at every f"
     confused_with = ("ldv_delay", "channel_skew", "first_order_lag", "butterworth_filter", "moving_average")
     separate_by = "a wider band with magnitude and phase, and the scan in another order: skew goes with the slot"

@@ -1,5 +1,7 @@
 """Drive feed-through: a share of the shaker's drive voltage reaches every channel by the wiring, not by motion."""
 
+import math
+
 import numpy as np
 
 from rig.model import BOTH, Array, Channels, Coordinate, Effect, Motion, Parameter, Values
@@ -13,7 +15,7 @@ class DriveFeedthrough(Effect):
     places = ("shaker",)
     needs = ("source",)
     coordinates = (Coordinate("share", 1e-4),)
-    parameters = (Parameter("share", "1", (-0.05, 0.05), (1e-5, 1e-3)),)
+    parameters = (Parameter("share", "1", (-math.inf, math.inf), (1e-5, 1e-3)),)
     missing = "the same volts in all channels, in line with the drive's voltage: against the acceleration, ∝ 1/f²"
     confused_with = ("cross_axis", "high_pass", "mains_hum")
     separate_by = "the sensor turned over: the feed-through keeps its sign; a dummy in its place still shows it"

@@ -14,7 +14,7 @@ class EncoderEccentricity(Effect):
     places = ("turntable", "rotation")
     coordinates = (Coordinate("sine", 3e-4), Coordinate("cosine", 3e-4))
     parameters = (
-        Parameter("ratio", "rad", (0.0, 0.5), (4e-4, 2e-3)),
+        Parameter("ratio", "rad", (0.0, 1.0), (4e-4, 2e-3)),
         Parameter("direction", "rad", (-math.inf, math.inf), (0.0, 2.0 * math.pi)),
     )
     missing = "encoder less gyro once per revolution, amplitude ∝ rate, phase fixed to the index; none in whole turns"

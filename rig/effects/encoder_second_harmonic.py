@@ -14,7 +14,7 @@ class EncoderSecondHarmonic(Effect):
     places = ("turntable", "rotation")
     coordinates = (Coordinate("sine", 5e-5), Coordinate("cosine", 5e-5))
     parameters = (
-        Parameter("ratio", "rad", (0.0, 0.5), (4e-5, 6e-4)),
+        Parameter("ratio", "rad", (0.0, 1.0), (4e-5, 6e-4)),
         Parameter("direction", "rad", (-math.inf, math.inf), (0.0, math.pi)),
     )
     missing = "encoder less gyro twice per turn, amplitude ∝ rate, phase fixed to the index; nothing in whole turns"

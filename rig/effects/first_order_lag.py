@@ -13,7 +13,7 @@ class FirstOrderLag(Effect):
     equation = "H = 1/(1 + j·2π·f·time_constant)"
     quantities = BOTH
     coordinates = (Coordinate("time_constant", 2e-5),)
-    parameters = (Parameter("time_constant", "s", (0.0, 10.0), (2e-5, 2e-4)),)
+    parameters = (Parameter("time_constant", "s", (0.0, math.inf), (2e-5, 2e-4)),)
     missing = "gain falls as (2πfτ)²/2 while the phase lags as 2πfτ, the same at every level"
     confused_with = ("delay", "butterworth_filter", "bessel_filter", "moving_average", "resonance")
     separate_by = "a wider band with magnitude and phase: the gain of a lag falls, that of a delay does not"

@@ -1,5 +1,7 @@
 """Linear g-sensitivity of a gyro: it takes specific force along the next axis (y for x, z for y, x for z) for rate."""
 
+import math
+
 import numpy as np
 
 from rig.model import NEXT, Array, Channels, Coordinate, Effect, Inverse, Motion, Parameter, Shares, Values
@@ -12,7 +14,7 @@ class GSensitivity(Effect):
     quantities = ("rate",)
     places = ("turntable", "rotation", "free", "poses")
     coordinates = (Coordinate("coefficient", 1e-4),)
-    parameters = (Parameter("coefficient", "(rad/s)/(m/s²)", (-1.0, 1.0), (1.8e-5, 3.6e-4)),)
+    parameters = (Parameter("coefficient", "(rad/s)/(m/s²)", (-math.inf, math.inf), (1.8e-5, 3.6e-4)),)
     missing = "gyro error ∝ ω²·r where the next axis is radial, ∝ angular acceleration where tangential, else constant"
     confused_with = ("quadratic", "cross_axis", "offset", "platen_tilt")
     separate_by = "a second radius or the unit turned by 180° on the platter: ∝ r and turning its sign, unlike K₂ω²"

@@ -13,7 +13,7 @@ class GravityTilt(Effect):
     equation = "u = a + g·per_metre·x, x = −a/ω²"
     places = ("shaker",)
     coordinates = (Coordinate("per_metre", 1.0),)
-    parameters = (Parameter("per_metre", "rad/m", (-200.0, 200.0), (0.1, 10.0)),)
+    parameters = (Parameter("per_metre", "rad/m", (-math.inf, math.inf), (0.1, 10.0)),)
     missing = "gain error ∝ 1/f², only at the low end of the band, in phase, the same at every level and for all units"
     confused_with = ("rocking", "dead_zone")
     separate_by = "lower frequencies with magnitude and phase (a high-pass leads, a tilt does not), or an upright drive"

@@ -17,7 +17,7 @@ class HighPass(Effect):
     quantities = ("acceleration",)
     places = ("shaker",)
     coordinates = (Coordinate("corner", 0.05),)
-    parameters = (Parameter("corner", "Hz", (0.0, 20.0), (0.05, 2.0)),)
+    parameters = (Parameter("corner", "Hz", (0.0, math.inf), (0.05, 2.0)),)
     missing = "the phase leads as corner/f and the gain falls as (corner/f)²/2, at the low end only, at every level"
     confused_with = ("drive_feedthrough", "rocking")
     separate_by = "a sweep to lower frequencies with phase: a high-pass leads, a tilt in gravity stays in phase"

@@ -1,5 +1,7 @@
 """Hysteresis: the output rests at every turning point until the input has come back by twice the width (play)."""
 
+import math
+
 import numpy as np
 
 from rig.model import Array, Coordinate, Effect, Motion, Parameter, Values
@@ -12,7 +14,7 @@ class Hysteresis(Effect):
     quantities = ("acceleration",)
     places = ("shaker",)
     coordinates = (Coordinate("width", 2e-3),)
-    parameters = (Parameter("width", "SI", (0.0, 2.0), (0.002, 0.02)),)
+    parameters = (Parameter("width", "SI", (0.0, math.inf), (0.002, 0.02)),)
     missing = "the phase lags by 4·width/(πA): more at small levels, alike at every frequency; hardly any loss of gain"
     confused_with = ("delay", "first_order_lag", "dead_zone")
     separate_by = "smaller levels at one frequency: this lag is ∝ 1/A, that of a delay or filter does not change"

@@ -14,7 +14,7 @@ class LdvDelay(Effect):
     equation = "a = a_shown·exp(+j·2π·f·time)"
     places = ("shaker",)
     coordinates = (Coordinate("time", 5e-6),)
-    parameters = (Parameter("time", "s", (0.0, 0.01), (5e-6, 6e-5)),)
+    parameters = (Parameter("time", "s", (0.0, math.inf), (5e-6, 6e-5)),)
     missing = "the phases of all channels lead exactly ∝ f, by the same time, while the gains are right"
     confused_with = ("delay", "channel_skew", "ldv_low_pass")
     separate_by = "a second vibrometer or decoder on the same spot: their difference is free of the sensor"

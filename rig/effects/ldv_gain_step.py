@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rig.model import Array, Complexes, Coordinate, Effect, Motion, Parameter, Quantity, Values
@@ -15,8 +17,8 @@ class LdvGainStep(Effect):
     places = ("shaker",)
     coordinates = (Coordinate("step", 1e-3), Coordinate("range", 1e-3, searched=True))
     parameters = (
-        Parameter("step", "1", (-0.2, 0.2), (1e-3, 1e-2)),
-        Parameter("range", "(m/s)/V", (0.0, 1e3), (1e-3, 1.0)),
+        Parameter("step", "1", (-1.0, math.inf), (1e-3, 1e-2)),
+        Parameter("range", "(m/s)/V", (0.0, math.inf), (1e-3, 1.0)),
     )
     missing = "all accelerometers jump by the same factor where the range changes; flat in f and level inside a range"
     confused_with = ("resonance", "cubic", "ldv_low_pass")

@@ -16,7 +16,7 @@ class LdvLowPass(Effect):
     equation = "a = a_shown/H, H = 15/(s³ + 6·s² + 15·s + 15), s = 1.755672·j·f/corner"
     places = ("shaker",)
     coordinates = (Coordinate("period", 2e-5),)  # 1/corner in s
-    parameters = (Parameter("corner", "Hz", (20.0, 1e8), (3000.0, 20000.0)),)
+    parameters = (Parameter("corner", "Hz", (0.0, math.inf), (3000.0, 20000.0)),)
     missing = "all channels' gains rise as 0.31·(f/corner)² and their phases lead as 0.279·f/corner of a turn"
     confused_with = ("resonance", "ldv_delay", "bessel_filter")
     separate_by = "another filter setting of the decoder: a rise that comes from it changes"

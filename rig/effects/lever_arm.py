@@ -16,9 +16,9 @@ class LeverArm(Effect):
     places = ("turntable", "rotation", "free")
     coordinates = (Coordinate("x", 2e-3), Coordinate("y", 2e-3), Coordinate("z", 2e-3))
     parameters = (
-        Parameter("length", "m", (0.0, 1.0), (1e-3, 0.01)),
+        Parameter("length", "m", (0.0, math.inf), (1e-3, 0.01)),
         Parameter("direction", "rad", (-math.inf, math.inf), (0.0, 2.0 * math.pi)),  # from z towards x
-        Parameter("y", "m", (-1.0, 1.0), (1e-3, 0.01)),
+        Parameter("y", "m", (-math.inf, math.inf), (1e-3, 0.01)),
     )
     missing = "accelerometer error ∝ ω² for either direction of turning, and ∝ angular acceleration 90° further round"
     confused_with = ("axis_offset", "quadratic", "cross_axis", "platen_tilt")

@@ -22,11 +22,11 @@ class MainsHum(Effect):
         Coordinate("sine", 1e-4),
         Coordinate("cosine_third", 1e-4),
         Coordinate("sine_third", 1e-4),
-        Coordinate("offset", 1e-4, (-0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03)),
+        Coordinate("offset", 1e-4, (-0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03), shape=True),
     )
     parameters = (
-        Parameter("amplitude", "V", (0.0, 1.0), (1e-4, 1e-2)),
-        Parameter("third", "V", (0.0, 1.0), (1e-4, 1e-2)),
+        Parameter("amplitude", "V", (0.0, math.inf), (1e-4, 1e-2)),
+        Parameter("third", "V", (0.0, math.inf), (1e-4, 1e-2)),
         Parameter("phase", "rad", (-math.inf, math.inf), (-math.pi, math.pi)),
         Parameter("phase_third", "rad", (-math.inf, math.inf), (-math.pi, math.pi)),
         Parameter("offset", "Hz", (-0.5, 0.5), (-0.03, 0.03)),

@@ -21,9 +21,9 @@ class MotorPickup(Effect):
         Coordinate("order", 1.0, tuple(float(order) for order in ORDERS), searched=True),
     )
     parameters = (
-        Parameter("amplitude", "V", (0.0, 1.0), (1e-4, 1e-3)),
+        Parameter("amplitude", "V", (0.0, math.inf), (1e-4, 1e-3)),
         Parameter("phase", "rad", (-math.inf, math.inf), (-math.pi, math.pi)),
-        Parameter("order", "1", (1.0, 1000.0), (4.0, 24.0)),
+        Parameter("order", "1", (1.0, math.inf), (4.0, 24.0)),
     )
     missing = "a line at a whole number per turn in the gyros, amplitude independent of ω, gone in the coast-down"
     confused_with = ("encoder_eccentricity", "encoder_second_harmonic", "g_sensitivity", "platen_tilt")

@@ -14,7 +14,7 @@ class MovingAverage(Effect):
     quantities = BOTH
     # beside a delay a window of nothing moves nothing, and one of −w does what +w does: started from some real ones too
     coordinates = (Coordinate("window", 5e-5, (0.0, 3e-4, 2e-3, 1e-2)),)
-    parameters = (Parameter("window", "s", (0.0, 10.0), (5e-5, 2e-2)),)
+    parameters = (Parameter("window", "s", (0.0, math.inf), (5e-5, 2e-2)),)
     missing = "gain falls as (π·f·window)²/6 while the phase lags as f·window/2 of a turn, exactly ∝ f, at every level"
     confused_with = ("delay", "bessel_filter", "first_order_lag", "butterworth_filter")
     separate_by = "a sweep past 1/window: the gain is zero there, no filter with poles alone is"

@@ -14,7 +14,7 @@ class MultiplexerSettling(Effect):
     equation = "V_shown = V + share·(V_before − V)"
     places = ("shaker",)
     coordinates = (Coordinate("share", 1e-3),)
-    parameters = (Parameter("share", "1", (0.0, 0.2), (1e-4, 5e-3)),)
+    parameters = (Parameter("share", "1", (0.0, 1.0), (1e-4, 5e-3)),)
     missing = "a copy of the slot before in every channel, zero output included, the same share at every f and level"
     confused_with = ("cross_axis", "crosstalk", "drive_feedthrough")
     separate_by = "the scan in another order, or a grounded slot in between: the copy goes with the slot, not the axis"

@@ -14,7 +14,7 @@ class PlatenTilt(Effect):
     places = ("turntable",)
     coordinates = (Coordinate("cosine", 1e-3), Coordinate("sine", 1e-3))
     parameters = (
-        Parameter("tilt", "rad", (0.0, 0.5), (1e-3, 9e-3)),
+        Parameter("tilt", "rad", (0.0, 0.5 * math.pi), (1e-3, 9e-3)),
         Parameter("direction", "rad", (-math.inf, math.inf), (0.0, 2.0 * math.pi)),
     )
     missing = "once per revolution on both accelerometers in the plane, 90° apart, the same size at every rate"

@@ -13,7 +13,7 @@ class ReferenceDelay(Effect):
     equation = "motion(t) = shown(t + time)"
     places = ("rotation", "free")
     coordinates = (Coordinate("time", 1e-4),)
-    parameters = (Parameter("time", "s", (-1.0, 1.0), (1e-4, 2e-2)),)
+    parameters = (Parameter("time", "s", (-math.inf, math.inf), (1e-4, 2e-2)),)
     missing = "the error goes with the rate of change of the motion, in all channels of either kind by the same time"
     confused_with = ("delay",)
     separate_by = "one clock for both, or an event that both see; delays that differ by channel are the sensor's"

@@ -15,8 +15,8 @@ class Resonance(Effect):
     places = ("shaker",)
     coordinates = (Coordinate("square", 1e-8), Coordinate("loss", 1e-6))  # 1/frequency² in s², 2·damping/frequency in s
     parameters = (
-        Parameter("frequency", "Hz", (500.0, 2e6), (1000.0, 6000.0)),
-        Parameter("damping", "1", (0.0, 1.0), (0.01, 0.7)),
+        Parameter("frequency", "Hz", (0.0, math.inf), (1000.0, 6000.0)),
+        Parameter("damping", "1", (0.0, math.inf), (0.01, 0.7)),
     )
     missing = "gain rises as (f/f_n)² with little phase, the same at every level"
     confused_with = ("first_order_lag", "delay", "butterworth_filter", "rocking")

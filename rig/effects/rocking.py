@@ -18,13 +18,13 @@ class Rocking(Effect):
     places = ("shaker",)
     coordinates = (
         Coordinate("ratio", 0.05),
-        Coordinate("frequency", 2.0, starts=FREQUENCIES),
-        Coordinate("damping", 0.005, starts=(0.03, 0.12)),
+        Coordinate("frequency", 2.0, starts=FREQUENCIES, shape=True),
+        Coordinate("damping", 0.005, starts=(0.03, 0.12), shape=True),
     )
     parameters = (
-        Parameter("ratio", "1/m", (-50.0, 50.0), (0.1, 5.0)),
-        Parameter("frequency", "Hz", (50.0, 5000.0), (150.0, 900.0)),
-        Parameter("damping", "1", (0.003, 1.0), (0.02, 0.1)),
+        Parameter("ratio", "1/m", (-math.inf, math.inf), (0.1, 5.0)),
+        Parameter("frequency", "Hz", (0.0, math.inf), (150.0, 900.0)),
+        Parameter("damping", "1", (0.0, math.inf), (0.02, 0.1)),
     )
     missing = "gain and phase ripple about one frequency, ∝ distance from the spot, opposite on either side; gyros too"
     confused_with = ("resonance", "transverse_motion", "gravity_tilt")

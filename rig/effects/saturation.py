@@ -1,5 +1,7 @@
 """Saturation: beyond a limit the output stays where it is."""
 
+import math
+
 import numpy as np
 
 from rig.model import BOTH, Array, Coordinate, Effect, Motion, Parameter, Quantity, Values
@@ -16,7 +18,7 @@ class Saturation(Effect):
     equation = "V/S = min(max(u, −limit), limit)"
     quantities = BOTH
     coordinates = (Coordinate("limit", 0.002, starts=(1e3,)),)  # 1e3: where it vanishes
-    parameters = (Parameter("limit", "SI", (0.0, 1e3), (4.0, 20.0)),)
+    parameters = (Parameter("limit", "SI", (0.0, math.inf), (4.0, 20.0)),)
     missing = "flat tops: above one level gain falls and lines at 3f and 5f rise at once, below it nothing; no phase"
     confused_with = ("cubic", "quadratic", "odd_quadratic")
     separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at the limit"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ class SupplyRatio(Effect):
     quantities = BOTH
     needs = ("supply",)
     coordinates = (Coordinate("share", 0.1),)
-    parameters = (Parameter("share", "1", (0.0, 1e3), (0.1, 1.0)),)
+    parameters = (Parameter("share", "1", (0.0, math.inf), (0.1, 1.0)),)
     missing = "gain and mean drift together, by the same share, with the logged supply"
     confused_with = ("temperature_scale", "temperature_bias", "warm_up")
     separate_by = "the supply stepped by some per cent at a fixed temperature"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ class TemperatureBias(Effect):
     quantities = BOTH
     needs = ("temperature",)
     coordinates = (Coordinate("coefficient", 0.002),)
-    parameters = (Parameter("coefficient", "SI/K", (-1.0, 1.0), (0.002, 0.02)),)
+    parameters = (Parameter("coefficient", "SI/K", (-math.inf, math.inf), (0.002, 0.02)),)
     missing = "the mean drifts with the logged temperature, whatever the input; the gain stays"
     confused_with = ("warm_up", "temperature_scale", "supply_ratio")
     separate_by = "a temperature ramp both ways at rest: the mean comes back with the temperature, not with time"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ class TemperatureScale(Effect):
     quantities = BOTH
     needs = ("temperature",)
     coordinates = (Coordinate("coefficient", 1e-4),)
-    parameters = (Parameter("coefficient", "1/K", (-1.0, 1.0), (1e-4, 3e-4)),)
+    parameters = (Parameter("coefficient", "1/K", (-math.inf, math.inf), (1e-4, 3e-4)),)
     missing = "the gain drifts with the logged temperature, in proportion to the signal; the zero stays"
     confused_with = ("supply_ratio", "warm_up", "temperature_bias")
     separate_by = "a temperature ramp both ways at a fixed supply, points in random order"

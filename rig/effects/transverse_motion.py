@@ -1,5 +1,7 @@
 """Transverse motion: the shaker's table also moves up and down, most at a mode."""
 
+import math
+
 import numpy as np
 
 from rig.model import Coordinate, Effect, Motion, Parameter, Values
@@ -14,13 +16,13 @@ class TransverseMotion(Effect):
     places = ("shaker",)
     coordinates = (
         Coordinate("ratio", 2e-3),
-        Coordinate("frequency", 2.0, starts=FREQUENCIES),
-        Coordinate("damping", 0.005, starts=(0.03, 0.12)),
+        Coordinate("frequency", 2.0, starts=FREQUENCIES, shape=True),
+        Coordinate("damping", 0.005, starts=(0.03, 0.12), shape=True),
     )
     parameters = (
-        Parameter("ratio", "1", (-1.0, 1.0), (0.005, 0.05)),
-        Parameter("frequency", "Hz", (50.0, 5000.0), (150.0, 900.0)),
-        Parameter("damping", "1", (0.003, 1.0), (0.02, 0.1)),
+        Parameter("ratio", "1", (-math.inf, math.inf), (0.005, 0.05)),
+        Parameter("frequency", "Hz", (0.0, math.inf), (150.0, 900.0)),
+        Parameter("damping", "1", (0.0, math.inf), (0.02, 0.1)),
     )
     missing = "a line at f on the upright accelerometers, with a peak and a turn of phase at one frequency, ∝ the level"
     confused_with = ("cross_axis", "crosstalk", "rocking")

@@ -3,6 +3,8 @@ what was left then."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +16,13 @@ class WarmUp(Effect):
     title = "warm-up"
     equation = "V₀(t) = V₀ + S·shift·exp(−t/time_constant), t since the first record began"
     quantities = BOTH
-    coordinates = (Coordinate("shift", 0.01), Coordinate("time_constant", 5.0, starts=(60.0, 150.0, 350.0, 800.0)))
+    coordinates = (
+        Coordinate("shift", 0.01),
+        Coordinate("time_constant", 5.0, starts=(60.0, 150.0, 350.0, 800.0), shape=True),
+    )
     parameters = (
-        Parameter("shift", "SI", (-5.0, 5.0), (0.005, 0.05)),
-        Parameter("time_constant", "s", (1.0, 1e5), (60.0, 600.0)),
+        Parameter("shift", "SI", (-math.inf, math.inf), (0.005, 0.05)),
+        Parameter("time_constant", "s", (0.0, math.inf), (60.0, 600.0)),
     )
     missing = "the mean drifts fast at first, then ever slower, with time and not with temperature or input; gain stays"
     confused_with = ("temperature_bias", "offset", "supply_ratio")

@@ -420,7 +420,9 @@ def term_columns(
     only = part.apart(term)
     columns = []
     for coordinate in term.effect.coordinates:
-        if not coordinate.searched:
+        if coordinate.shape and term.nought:
+            columns.append(np.zeros(part.rows))
+        elif not coordinate.searched:
             step = coordinate.step * (1.0 if term.effect.kinked else STRAIGHT)
             nearby = term.moved(**{coordinate.name: term.at[coordinate.name] + step})
             change = np.zeros_like(base)

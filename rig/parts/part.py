@@ -230,7 +230,7 @@ class Part(ABC):
 
     def unevenness(self, change: Array, left: Array) -> float:
         """How many times more the χ² that one effect removes scatters by chance, because noise is not the same
-        throughout. `change` (rows,) is what the effect moves, `left` (rows,) what is left over without it.
+        throughout. `change` (rows,) is what the effect moves, `left` (rows,) what may be taken for noise.
         """
         return 1.0
 

@@ -36,6 +36,7 @@ LOUDEST = 16.0  # times the mean power that noise may have just when an effect s
 ALLOWANCE = 0.2
 KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misfit, beside what its fit left open
 WIDER = 1.5  # of the band: what the reference lets through of its noise
+NEAR = 5  # instants that a filter ties to each other
 APART = 3600.0  # s between two files, of which nobody knows the order
 
 
@@ -458,12 +459,14 @@ class TrackedMotion(Part):
 
     def unevenness(self, change: Array, left: Array) -> float:
         """Of noise that is louder while the motion is: Σd²l² over instants against Σd² times the mean of l² (the
-        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time. An effect that shows
-        at a few instants only is as doubtful, so l is what was left before it; but there is a limit to doubt.
+        covariance that White 1980 takes, Econometrica 48, 817), with d and l brought back to time. What is left at a
+        few instants that alone show the effect says little, as it has followed them: l counts there as all the others
+        would leave it (MacKinnon & White 1985, J. Econometrics 29, 305); but there is a limit to doubt.
         """
         moved, rest = self._in_time(change), self._in_time(left)
         mean = np.mean(rest**2, axis=1, keepdims=True)
         even = float(np.sum(moved**2 * mean))
+        rest = rest / np.maximum(1.0 - _leverage(moved), 1.0 / LOUDEST)
         return min(max(1.0, float(np.sum(moved**2 * rest**2)) / even), LOUDEST) if even > 0.0 else 1.0
 
     def _in_time(self, rows: Array) -> Array:
@@ -520,3 +523,10 @@ def _power(frequency: Array, *, order: int, scale: float) -> Complexes:
 def _varying(signals: Array) -> Array:
     """Signals that are not constant."""
     return np.asarray(signals[np.ptp(signals, axis=1) > 1e-9 * (1.0 + np.abs(signals).max())])
+
+
+def _leverage(moved: Array) -> Array:
+    """Share of a change (c, n) that each instant and those near it have, (n,)."""
+    power = np.sum(moved**2, axis=0)
+    near = np.convolve(power, np.ones(NEAR), mode="same") if len(power) > NEAR else power
+    return np.asarray(near / max(float(power.sum()), 1e-300))

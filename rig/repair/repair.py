@@ -7,7 +7,7 @@ same runs, so a ladder climbs on one set of data: where the runs have changed si
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit
 from rig.fit.floor import with_floor
+from rig.fit.parameters import covariance_of, tied
 from rig.fit.quality import error_of
 from rig.formula import OwnTerm
 from rig.model import BOTH, Effect, Quantity, Term
@@ -86,7 +87,15 @@ def fitted(bench: Bench, model: Model) -> Repaired:
     action: Action = "fit" if model.history else "start"
     made = with_fit(model, bench.evidence, found, action=action, when=bench.when, known=_known(bench, model))
     before = model.history[-1] if model.history else made.history[-1]
-    return Repaired(made, found, before, made.history[-1])
+    return Repaired(made, found, before, made.history[-1], tuple(_not_apart(found)))
+
+
+def _not_apart(found: Fit) -> Iterator[str]:
+    """Of every effect that a fit moves the parameters that are not known apart."""
+    for number, term in enumerate(found.state.terms):
+        joint = None if term.prior or term.effect.looks_in else tied(term, covariance_of(found, number))
+        if joint is not None:
+            yield f"{term.key}: {joint.text}"
 
 
 def added(
@@ -112,7 +121,7 @@ def added(
     everything = {**_known(bench, base.model), **({name: known} if known else {})}
     made = with_fit(model_with, bench.evidence, after, action="add", effect=name, on=term.on, when=bench.when,
                     known=everything)  # fmt: skip
-    return Repaired(made, after, base.after, made.history[-1], remarks)
+    return Repaired(made, after, base.after, made.history[-1], (*remarks, *_not_apart(after)))
 
 
 def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
@@ -229,7 +238,7 @@ def _by_score(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None)
         )
     made = search.refitted(base.fit, best)
     after = fitting.fit(base.fit.parts, made.fit.state)
-    said = [] if search.admissible(made.term, made.u) else [f"{effect.name}: its size is outside what physics allows"]
+    said = [] if search.admissible(made.term, made.u) else [f"{effect.name}: physics does not allow it"]
     if base.fit.objective - after.objective < chance(best):
         said.append(f"{effect.name} removes no more than chance would: this data does not ask for it")
     return after.state.terms[-1], None, tuple(said), after

@@ -31,7 +31,7 @@ def found(sensor: Sensor) -> Diagnosis:
 def best_alone(sensor: Sensor) -> str:
     """The admissible effect that removes most by itself."""
     base = table(sensor).fitted()
-    refits = search.best(base, search.scores(base, search.possible(shelf(), base)), 8, 8.0)
+    refits = search.best(base, search.scores(base, search.possible(shelf(), base))[:8])
     return next(one.name for one in refits if search.admissible(one.term, one.u))
 
 

@@ -64,7 +64,7 @@ class Question:
 
 def _choice(base: Fit, name: str) -> Choice:
     terms = [one for one in search.possible(shelf(), base) if one.effect.name == name and one.on != "rate"]
-    one = search.best(base, search.scores(base, terms), 1, 0.0)[0]
+    one = search.best(base, search.scores(base, terms)[:1])[0]
     return Choice(one.term, one.u, one.gain, one.gain, 0.5, "", one.fit)
 
 

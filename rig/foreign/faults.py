@@ -16,12 +16,20 @@ from numpy.typing import NDArray
 
 from rig.foreign import outliers
 from rig.foreign.finding import Finding, Rows, listed, runs, stretches_of
+from rig.foreign.isolated import isolated
 from rig.foreign.manifest import KINDS, Column
 from rig.foreign.tables import Foreign, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FROZEN = 20  # rows of one value that are looked at
+SHORTEST = 3  # of them where hardly a row is like the one before
+BESIDE, FINE, BY_CHANCE = (
+    400,
+    0.05,
+    1e-4,
+)  # rows on either side, share of equal ones there, and stretches that are rarer
+PILED, UNIQUE = 3, 0.9  # rows at an extreme of a channel with so many different numbers
 GAP = 1.5  # times the usual interval
 # what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
 STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "temperature", "line_a", "line_b",
@@ -48,7 +56,7 @@ def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
     found: list[Finding] = []
     if column.quantity in SIGNALS:
         found += _clipped(column, values)
-        found += _outliers(column, values, _beside(data, table, column))
+        found += _outliers(column, values, data.time(table), _beside(data, table, column), _pieces(data, values))
     if column.quantity == "angle":
         found += _steps(data, table, column, values)
     rest = values.copy()
@@ -93,12 +101,20 @@ def _of(column: Column, kind: str, rows: Rows, text: str) -> Finding:
 
 
 def _beside(data: Foreign, table: Table, column: Column) -> list[Array]:
-    """The other signals of a device, each as it stands in the file."""
-    others = (one for one in data.manifest.of("device") if one.quantity in SIGNALS and one.column != column.column)
-    return [table.of(one.column) for one in others] if column.role == "device" else []
+    """The other signals that feel a knock, each as it stands in the file."""
+    others = (one for one in data.manifest.columns if one.role in ("device", "reference") and one.quantity in SIGNALS)
+    return [table.of(one.column) for one in others if one.column != column.column]
 
 
-def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterator[Finding]:
+def _pieces(data: Foreign, values: Array) -> list[slice]:
+    """Rows that follow one another as one motion does: of poses that are named each by itself."""
+    named = data.manifest.segments if data.manifest.kind == "poses" else []
+    return [slice(one.first, one.last) for one in named] or [slice(0, len(values))]
+
+
+def _outliers(
+    column: Column, values: Array, time: Array, beside: Sequence[Array], pieces: Sequence[slice]
+) -> Iterator[Finding]:
     """Numbers that stand for nothing, and rows that stand alone; what other signals feel too is a knock."""
     rest = values.copy()
     for mark in outliers.marks(values):
@@ -108,7 +124,8 @@ def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterato
         advice = f"; if it stands for no number, `missing: {mark.value:.6g}` says so"
         yield _of(column, "marks", mark.rows, text + advice)
         rest[mark.rows] = math.nan
-    rows = outliers.alone(rest)
+    single = [here.start + isolated(rest[here], time[here]) for here in pieces]
+    rows = np.unique(np.concatenate([outliers.alone(rest), *single]))
     rows = rows[~np.any([outliers.jumping(one)[rows] for one in beside], axis=0)] if beside else rows
     if n := len(rows):
         text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
@@ -119,45 +136,77 @@ def _outliers(column: Column, values: Array, beside: Sequence[Array]) -> Iterato
 
 
 def _clipped(column: Column, values: Array) -> Iterator[Finding]:
-    """Plateaus at an extreme that the signal enters at speed: a range that was exceeded.
+    """Plateaus at an extreme that the signal enters at speed, or rows that pile up there as nowhere else: a range that
+    was exceeded.
 
     A signal that turns by itself comes to its extreme in its smallest steps; a cut one arrives in large ones.
     """
-    steps = np.abs(np.diff(values))
-    moving = steps[np.isfinite(steps) & (steps > 0.0)]
-    smallest = float(np.min(moving, initial=np.inf))
     for name, extreme in (("top", np.nanmax(values)), ("bottom", np.nanmin(values))):
         at = values == extreme
-        flats = [(first, n) for first, n in runs(at) if n >= 3]
-        count = sum(n for _, n in flats)
-        if len(flats) < 2 or count < 8 or extreme == 0.0 or count > 0.5 * len(values):
-            continue
-        entries = [steps[first - 1] for first, n in flats if first > 0 and np.isfinite(steps[first - 1])]
-        if entries and np.median(entries) > max(3.0 * smallest, 0.1 * float(np.median(moving))):
-            share = f"{count} rows in {len(flats)} stretches stand at {extreme:.6g}"
+        if extreme != 0.0 and at.mean() <= 0.5 and (_entered(values, at) or _piled_up(values, float(extreme))):
+            flats = runs(at)
+            many = f"{len(flats)} stretch{'' if len(flats) == 1 else 'es'}"
+            share = f"{int(at.sum())} rows in {many} stand at {extreme:.6g}"
             text = f"{column.channel}: clipped at the {name}: {share}, the first from row {flats[0][0]}"
             yield _of(column, "clipped", np.flatnonzero(at), text)
 
 
+def _entered(values: Array, at: Mask) -> bool:
+    """Whether an extreme is a plateau more than once, and entered at speed."""
+    steps = np.abs(np.diff(values))
+    moving = steps[np.isfinite(steps) & (steps > 0.0)]
+    flats = [(first, n) for first, n in runs(at) if n >= 3]
+    if len(flats) < 2 or sum(n for _, n in flats) < 8:
+        return False
+    entries = [steps[first - 1] for first, n in flats if first > 0 and np.isfinite(steps[first - 1])]
+    smallest = float(np.min(moving, initial=np.inf))
+    return bool(entries) and bool(np.median(entries) > max(3.0 * smallest, 0.1 * float(np.median(moving))))
+
+
+def _piled_up(values: Array, extreme: float) -> bool:
+    """Whether rows share an extreme of a channel whose numbers are otherwise each their own, and follow one another."""
+    if 2 * sum(n for _, n in runs(values == extreme) if n >= 2) < int(np.count_nonzero(values == extreme)):
+        return False  # a sine comes back to where it was
+    known = values[np.isfinite(values)]
+    kinds, each = np.unique(known, return_counts=True)
+    inward, count = (kinds[::-1], each[::-1]) if extreme == kinds[-1] else (kinds, each)
+    if count[0] < PILED or len(kinds) < UNIQUE * len(known) or count[1 : PILED + 1].max(initial=0) > 1:
+        return False
+    steps = np.abs(np.diff(known))
+    return bool(abs(inward[1] - extreme) < 3.0 * float(np.median(steps[steps > 0.0])))  # else a number for nothing
+
+
 def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Iterator[Finding]:
     """A value that repeats far longer than it would by chance while another channel moves."""
-    same = np.diff(values) == 0.0
-    stretches = [(first, n + 1) for first, n in runs(same) if n + 1 >= FROZEN]
-    if not stretches:
-        return
-    outside = len(same) - sum(n - 1 for _, n in stretches)
-    p = (int(same.sum()) - sum(n - 1 for _, n in stretches)) / max(outside, 1)
-    chance = math.log(len(values)) / max(-math.log(max(p, 1e-6)), 1e-3)
-    odd = [(first, n) for first, n in stretches if n > 4.0 * chance and _moves_beside(values, first, n)]
-    odd = [(first, n) for first, n in odd if _others_move(data, table, column, first, n)]
+    odd = [one for one in _repeated(values) if one[1] >= FROZEN or column.quantity in SIGNALS]
+    odd = [(first, n) for first, n in odd if _moves_beside(values, first, n)]
+    odd = [(first, n) for first, n in odd if n < FROZEN or _others_move(data, table, column, first, n)]
     if odd:
         first, n = max(odd, key=lambda one: one[1])
         rows = np.concatenate([np.arange(begin, begin + count) for begin, count in odd])
         where = f"in {len(odd)} stretch{'' if len(odd) == 1 else 'es'}, the longest {n} rows from row {first}"
-        text = (
-            f"{column.channel}: frozen for {len(rows)} rows {where} (at {values[first]:.6g}) while other channels move"
-        )
-        yield _of(column, "frozen", rows, text)
+        text = f"{column.channel}: frozen for {len(rows)} rows {where} (at {values[first]:.6g})"
+        while_ = " while other channels move" if n >= FROZEN else ", where no two rows are alike by chance"
+        yield _of(column, "frozen", rows, text + while_)
+
+
+def _repeated(values: Array) -> list[tuple[int, int]]:
+    """Stretches of one value, first row and length, that are longer than chance makes them.
+
+    With a share p of rows that are like the one before, n rows have a stretch of r by chance n·p^(r−1) times.
+    """
+    same = np.diff(values) == 0.0
+    long = [(first, n + 1) for first, n in runs(same) if n + 1 >= FROZEN]
+    outside = len(same) - sum(n - 1 for _, n in long)
+    equal = int(same.sum()) - sum(n - 1 for _, n in long)
+    chance = math.log(len(values)) / max(-math.log(max(equal / max(outside, 1), 1e-6)), 1e-3)
+    found = [(first, n) for first, n in long if n > 4.0 * chance]
+    for first, n in ((first, n + 1) for first, n in runs(same) if SHORTEST <= n + 1 < FROZEN):
+        beside = np.concatenate((same[max(first - BESIDE, 0) : first], same[first + n - 1 : first + n - 1 + BESIDE]))
+        p = max((equal - n + 2) / (outside + 2), float(beside.mean()) if len(beside) else 1.0)
+        if p < FINE and n > math.log(len(values) / BY_CHANCE) / -math.log(p) + 1.0:
+            found.append((first, n))
+    return found
 
 
 def _moves_beside(values: Array, first: int, count: int) -> bool:
@@ -208,7 +257,8 @@ def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[F
     later = np.diff(data.time(table)[there])
     usual = float(np.median(later[later > 0.0])) if (later > 0.0).any() else math.inf
     moved[(np.diff(there) > 1) | ~((later > 0.0) & (later < GAP * usual))] = math.nan  # it may have turned meanwhile
-    out = outliers.alone(moved)
+    at, since = data.time(table)[there][1:], np.diff(data.time(table)[there])
+    out = np.union1d(outliers.alone(moved), isolated(np.where(since > 0.0, moved / since, math.nan), at))
     # a single wrong reading jumps there and back: that is no step
     pairs = [
         k for k in out if not any(j in out and abs(moved[j] + moved[k]) < 0.2 * abs(moved[k]) for j in (k - 1, k + 1))

@@ -29,6 +29,7 @@ SEARCHED = 5e-3  # relative: how far from its nominal frequency a mains line is 
 STANDS_OUT = 25.0  # power of a mains line's peak over that of its neighbours
 NEIGHBOURS = 12  # spectral lines on either side that say what the noise is
 HIGHEST = 0.49  # of the sampling rate: harmonics above are not fitted
+FILLINGS = 12  # the rest of an error shrinks by the faulty share each time
 CLEAR = 2.0  # spectral lines between a mains line and a harmonic that can be told apart
 
 
@@ -105,6 +106,24 @@ def separated(t: Array, values: Array, rate: float, frequency: float | None, mai
         left=values - whole.T @ solution,
         hum=whole[first:].T @ solution[first:],
     )
+
+
+def filled(t: Array, values: Array, faulty: Mask, rate: float, frequency: float) -> Array:
+    """Values (n, c) with what the drive's harmonics say in place of `faulty` ones (n, c): a fit that these do not move.
+
+    What is filled in is fitted and filled in again,  x ← G⁻¹(R·y + B·Bᵀx)  with B the faulty columns of the rows R and
+    y nought there: so few times that harmonics which only faulty rows would tell stay small.
+    """
+    rows = _rows(t, max(1, math.floor(HIGHEST * rate / frequency)), frequency, np.zeros(0))
+    gram, found = rows @ rows.T, values.copy()
+    for c in np.flatnonzero(faulty.any(axis=0)):
+        lacking = rows[:, faulty[:, c]]
+        known = np.linalg.solve(gram, rows @ np.where(faulty[:, c], 0.0, values[:, c]))
+        again, solution = np.linalg.solve(gram, lacking @ lacking.T), np.linalg.solve(gram, rows @ values[:, c])
+        for _ in range(FILLINGS - 1):
+            solution = known + again @ solution
+        found[faulty[:, c], c] = lacking.T @ solution
+    return found
 
 
 def _rows(t: Array, count: int, frequency: float, lines: Array) -> Array:

@@ -23,6 +23,7 @@ from rig.shelf import shelf
 
 Array = np.ndarray
 GAIN = 1.015
+LEVELS = (0.3, 0.6, 1.0)  # of a sweep
 
 
 def spoilt(foreign: Foreign, name: str, change: Callable[[Array], Array]) -> Foreign:
@@ -70,11 +71,28 @@ def jumped(values: Array) -> Array:
     return values
 
 
+def held(values: Array) -> Array:
+    values[2500:2506] = values[2500]
+    return values
+
+
+def touched(values: Array) -> Array:
+    return np.minimum(values, np.sort(values)[-4])  # the four largest are one number
+
+
+def slipped(values: Array) -> Array:
+    values[3333:] = np.mod(values[3333:] + 0.03, 2.0 * math.pi)
+    return values
+
+
 CASES: dict[str, tuple[str, Callable[[Array], Array], str, int]] = {
     "glitches": ("gyro_z", put([2222, 4567], -9.0), "alone", 2),
     "a glitch of two rows": ("gyro_z", put([2500, 2501], -9.0), "alone", 2),
     "sentinels": ("gyro_z", put([1500, 1501, 1502, 1503, 4000, 5000], -100.0), "marks", 6),
     "cut off": ("gyro_z", cut, "clipped", 0),
+    "held for six rows": ("gyro_z", held, "frozen", 6),
+    "cut off at one peak": ("gyro_z", touched, "clipped", 4),
+    "a reference that slips by what it turns in two rows": ("angle", slipped, "reference_step", 1),
     "stuck": ("gyro_z", stuck, "frozen", 150),
     "a reference that jumps": ("angle", jumped, "reference_step", 1),
 }
@@ -88,6 +106,14 @@ def test_what_is_no_measurement_is_found_in_its_rows_and_nowhere_else(case: str)
     assert one.channel == name
     total = sum(len(other.rows) for other in (one, *more))
     assert total == pytest.approx(rows, rel=0.05) if rows else total > 100
+
+
+def test_an_encoder_that_rests_and_a_sine_that_comes_back_to_where_it_was_are_no_faults() -> None:
+    slow = rotation(Unit(), 4, rest=30.0, channels="r", jitter=1e-4, steps=math.radians(1.0))
+    assert not found(slow)
+    foreign = imported_sweeps.made(levels=())
+    exact = np.sin(2.0 * np.pi * np.arange(imported_sweeps.SAMPLES) / 40.0)
+    assert not [one for one in found(spoilt(foreign, "drive", lambda values: exact)) if one.channel == "drive"]
 
 
 @pytest.mark.parametrize(("level", "rest"), [(2.4, 10.0), (1.0, 10.0), (1.5, 0.0)])
@@ -145,7 +171,7 @@ def test_a_clean_record_of_the_same_device_is_adequate() -> None:
     "change", [put([700, 1900], 99.0), lambda v: np.where(np.arange(len(v)) // 150 == 9, v[1350], v)]
 )
 def test_a_sweep_is_fitted_without_such_samples(change: Callable[[Array], Array]) -> None:
-    foreign = imported_sweeps.made()
+    foreign = imported_sweeps.made(levels=LEVELS)
     bad = spoilt(foreign, "board", change)
     assert found(bad)
     fits = [evidence(one).fitted() for one in (foreign, bad)]
@@ -156,7 +182,7 @@ def test_a_sweep_is_fitted_without_such_samples(change: Callable[[Array], Array]
 
 
 def test_rows_that_are_filled_in_make_no_sweep_more_certain() -> None:
-    clean = imported_sweeps.made()
+    clean = imported_sweeps.made(levels=LEVELS)
     bad = spoilt(clean, "board", stretch)
     assert found(bad)
     u = [

@@ -27,7 +27,7 @@ from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.reading.imported_notes import notes
 from rig.parts.reading.shaker_distortion import shaker_remarks
-from rig.parts.sweep_lines import Separated, density, mains_seen, separated, taken
+from rig.parts.sweep_lines import Separated, density, filled, mains_seen, separated, taken
 from rig.parts.sweep_records import LINES, Leftover, SweepRecords, directions
 from rig.signals import tone
 from rig.signals.noise import NoiseModel
@@ -40,7 +40,6 @@ SEARCHED = (0.7, 1.4)  # of the commanded frequency: where the driven line is lo
 PEAK = 10.0  # amplitude of the driven line over the median line in that band
 SHORTEST = 5.0  # cycles
 MOST_FAULTY = 0.3  # of the rows of a record: with more left out the rest says little
-FILLINGS = 12  # the rest of an error shrinks by the faulty share each time
 EVEN = 0.1  # of the interval: how far a time stamp may lie from even spacing
 COHERENT = 0.9  # coherence² above which the lines between give the ratio of device and reference
 SHARE, LINES_BESIDE = 0.3, 12  # neighbourhood of a line, as in `tone.line_variances`
@@ -116,7 +115,7 @@ def _record(foreign: Foreign, table: Table, columns: Sequence[Column], before: _
             raise BadInput(f"{where}, {one.channel}: found nothing but {column[0]:g}, wanted a sine of {nominal:g} Hz")
     frequency = _found(foreign, table, where, t, values, nominal)
     delay = np.array([one.delay for one in columns])
-    values = _filled(t, values, faulty, 1.0 / interval, frequency)
+    values = filled(t, values, faulty, 1.0 / interval, frequency) if faulty.any() and frequency else values
     lines = _taken_apart(t, values, 1.0 / interval, begin, frequency, foreign.manifest.mains)
     leftover = _leftover(lines.left + lines.hum, 1.0 / interval, begin, frequency or None, delay)
     at = np.asarray(frequency * np.arange(1, lines.harmonics.shape[1] + 1), np.float64)
@@ -142,14 +141,6 @@ def _whole(foreign: Foreign, table: Table, columns: Sequence[Column]) -> tuple[A
         values.append(bridged(column, np.flatnonzero(flags)) if flags.any() else column)
         faulty.append(flags)
     return np.stack(values, axis=1), np.stack(faulty, axis=1)
-
-
-def _filled(t: Array, values: Array, faulty: NDArray[np.bool_], rate: float, frequency: float) -> Array:
-    """Values with what the sines say in place of samples that are no measurement: a fit that they then do not move."""
-    for _ in range(FILLINGS if faulty.any() and frequency else 0):
-        left = separated(t, values, rate, frequency, None).left
-        values = np.where(faulty, values - left, values)
-    return values
 
 
 def _interval(where: str, stamps: Array) -> float:

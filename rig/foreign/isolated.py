@@ -1,0 +1,140 @@
+"""Rows that a smooth signal about them contradicts: a glitch, a value held for a row, a step of an angle's increments.
+
+A row is held against the polynomial of fifth degree through three rows on either side (Lagrange's, at their own times):
+what is sampled as finely as it should be lies on it up to noise. A row, or up to three together, stands alone if it is
+far off, and nothing thereabouts is once it is taken out: a knock lasts, or its neighbours feel it.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+SIDE = 3  # rows on either side
+FAR = 7.0  # standard deviations of what noise leaves
+QUIET = 4.5  # of them, about a row that was taken out
+PACES = 12  # groups of rows by how fast they change
+BLOCK = 100  # rows whose scatter is looked at together
+GAP = 1.3  # times the usual time between the outermost of them: one that is missing
+TOGETHER = 3  # rows
+MOST = 30  # places; where there are more they are no exception
+STRICTER = 4.0  # power of how much heavier the tails are than normal noise's: noise has outermost rows of its own
+FEWEST = 100
+
+
+def isolated(values: Array, time: Array) -> Rows:
+    """Rows that stand alone, (k,), among values (n,), NaN where there is none, at times (n,), s."""
+    later = np.flatnonzero(np.isfinite(values) & np.isfinite(time))
+    later = later[np.diff(np.maximum.accumulate(time[later]), prepend=-np.inf) > 0.0]
+    if len(later) < FEWEST:
+        return later[:0]
+    known = values[later]
+    span = time[later][2 * SIDE :] - time[later][: -2 * SIDE]
+    whole = np.pad(span < GAP * float(np.median(span)), SIDE)  # rows that have no gap thereabouts
+    # stamps that jitter more than the sampling does make things worse
+    tried = [_weights(time[later]), _weights(np.arange(len(later), dtype=np.float64))]
+    weights = min(tried, key=lambda one: float(np.median(np.abs(_off(known, one)))))
+    off = np.abs(_off(known, weights)) * whole
+    scatter = _scatter(off, known)
+    if not (scatter > 0.0).all():
+        return later[:0]
+    share = off / scatter
+    return later[_standing(known, weights, scatter, share, FAR * max(1.0, _tails(share)) ** STRICTER)]
+
+
+def _weights(time: Array) -> Array:
+    """What every row takes from the six about it, (n, 6), SIDE rows at either end nothing."""
+    count, at = len(time), [*range(-SIDE, 0), *range(1, SIDE + 1)]
+    found = np.zeros((count, len(at)))
+    inner = np.arange(SIDE, count - SIDE)
+    near = np.stack([time[inner + k] - time[inner] for k in at])
+    for j, k in itertools.product(range(len(at)), range(len(at))):
+        if k == 0:
+            found[inner, j] = 1.0
+        if k != j:
+            found[inner, j] *= -near[k] / (near[j] - near[k])
+    return found
+
+
+def _off(known: Array, weights: Array) -> Array:
+    """Distance of every row from the polynomial, in units in which plain noise is as large as it is, (n,)."""
+    count = len(known)
+    padded = np.pad(known, SIDE, mode="edge")
+    at = [*range(-SIDE, 0), *range(1, SIDE + 1)]
+    through = sum(weights[:, j] * padded[SIDE + k : SIDE + k + count] for j, k in enumerate(at))
+    found = (known - through) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    found[:SIDE] = found[-SIDE:] = 0.0
+    return np.asarray(found)
+
+
+def _scatter(off: Array, known: Array) -> Array:
+    """Standard deviation of what noise leaves about every row, by medians: of the whole, or thereabouts if more, or of
+    rows that change as fast if more: stamps that jitter count there.
+    """
+    pieces = np.array_split(off, max(1, len(off) // BLOCK))
+    each = np.array([np.median(one) for one in pieces])
+    beside = np.max([each, np.append(each[1:], each[-1]), np.append(each[0], each[:-1])], axis=0)
+    size = np.repeat(np.maximum(beside, np.median(off)), [len(one) for one in pieces])
+    size = 1.4826 * np.maximum(size, _as_fast(off, known))
+    steps = np.abs(np.diff(known))
+    coarse = 0.5 * float(np.min(steps[steps > 0.0], initial=np.inf))  # codes
+    return np.asarray(np.maximum(size, coarse), np.float64)
+
+
+def _tails(share: Array) -> float:
+    """How far the outermost hundredth of what is not far off, nor beside such, lies out, against normal noise."""
+    near = np.convolve(share > FAR, np.ones(2 * SIDE + 1), mode="same") > 0.5
+    return np.inf if near.all() else float(np.quantile(share[~near], 0.99)) / 2.576
+
+
+def _as_fast(off: Array, known: Array) -> Array:
+    """Median of rows that change as fast, straight from group to group and on beyond the fastest, (n,)."""
+    pace = np.abs(np.gradient(known))
+    groups = np.array_split(np.argsort(pace), PACES)
+    at = np.array([np.mean(pace[one] ** 2) for one in groups])
+    square = np.array([np.median(off[one]) ** 2 for one in groups])
+    slope, level = np.polyfit(at, square, 1)
+    return np.asarray(np.sqrt(np.maximum(level + max(slope, 0.0) * pace**2, 0.0)))
+
+
+def _standing(known: Array, weights: Array, scatter: Array, share: Array, limit: float) -> Rows:
+    """Numbers of the rows that stand alone."""
+    order = np.argsort(share)[::-1]
+    far = order[: int(np.count_nonzero(share > limit))]
+    found: list[int] = []
+    taken = np.zeros(len(known), np.bool_)
+    for place, row in enumerate(far.tolist()):
+        if place > MOST * (2 * SIDE + 1) or len(found) > MOST:
+            return np.zeros(0, np.intp)
+        if not taken[max(row - SIDE, 0) : row + SIDE + 1].any():
+            group = _group(known, weights, scatter, row)
+            found += group
+            taken[group] = True
+    return np.array(sorted(found), np.intp)
+
+
+def _group(known: Array, weights: Array, scatter: Array, row: int) -> list[int]:
+    """The fewest rows about this one without which all is quiet; none if there are none such."""
+    for count in range(1, TOGETHER + 1):
+        for first in range(row - count + 1, row + 1):
+            here = np.arange(max(first - 3 * SIDE, 0), min(first + count + 3 * SIDE, len(known)))
+            out = np.arange(first, first + count)
+            if out[0] < here[0] + SIDE or out[-1] > here[-1] - SIDE:
+                continue
+            rest = np.setdiff1d(here, out)
+            filled = known[here].copy()
+            filled[out - here[0]] = _through(rest - row, known[rest], out - row)
+            left = np.abs(_off(filled, weights[here]))[SIDE:-SIDE] / scatter[here][SIDE:-SIDE]
+            moved = np.abs(known[out] - filled[out - here[0]])
+            if left.max() < QUIET and (moved > QUIET * scatter[out]).all():
+                return [int(one) for one in out]
+    return []
+
+
+def _through(places: Rows, values: Array, at: Rows) -> Array:
+    """The polynomial of fifth degree by least squares, at other places."""
+    return np.asarray(np.polyval(np.polyfit(places.astype(np.float64), values, 5), at.astype(np.float64)))

@@ -10,6 +10,7 @@ import click
 
 from rig.cli.onward import BOTH, carry, carrying, command, completed, say_next
 from rig.cli.options import MODEL, bench_option, bench_path, effects_option, json_option, print_json, runs_option
+from rig.cli.progress import Doing
 from rig.cli.repair import RUN_NAMES, START, Opened, adding, model_options, opened
 
 if TYPE_CHECKING:
@@ -108,7 +109,10 @@ def _diagnosed(work: Opened) -> Diagnosis:
 
     terms = terms_of(work.model, work.bench.shelf)
     model = work.model
-    return diagnose(work.bench.evidence, terms, shelf=work.bench.shelf, poles=model.poles, shared=model.shared)
+    with Doing() as told:
+        return diagnose(
+            work.bench.evidence, terms, shelf=work.bench.shelf, poles=model.poles, shared=model.shared, told=told
+        )
 
 
 def _next_after(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 if TYPE_CHECKING:
     from rig.bench.runner import Progress
 
+LINE_ANEW = "\r\x1b[2K"
 PLAIN_EVERY = 5.0  # s of real time between lines where nobody watches a terminal
 
 
@@ -62,6 +63,25 @@ class Bar:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._live is not None:
             self._live.stop()
+
+
+class Doing:
+    """What a long computation is at, in one line of a terminal that is gone at the end; nothing where there is none."""
+
+    def __init__(self) -> None:
+        self._seen = sys.stderr.isatty()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, doing: str) -> None:
+        """Show what is done now."""
+        if self._seen:
+            print(f"{LINE_ANEW}{doing} …", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._seen:
+            print(LINE_ANEW, end="", file=sys.stderr, flush=True)
 
 
 def duration_text(seconds: float) -> str:

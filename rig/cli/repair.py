@@ -16,6 +16,7 @@ import click
 
 from rig.cli.onward import Carried, command, completed, say_next
 from rig.cli.options import MODEL, effects_option, json_option, print_json, runs_option
+from rig.cli.progress import Doing
 
 if TYPE_CHECKING:
     from rig.diagnose.conclusion import Candidate, Conclusion
@@ -271,18 +272,19 @@ def diagnose(
     `candidates` best
     first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
     `parameters` by name with `value`, `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation`
-    and what is known of them `together`; `plausible`, `because`, `separate_by`, and the `step` in which it
-    was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`),
-    `description` and `cannot_see`.
+    and what is known of them `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in
+    which it was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted,
+    `why`), `description` and `cannot_see`.
     Errors of a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
     from rig.repair.model_file import terms_of
 
-    work = opened(names, runs, model, start, effects)
-    shelf = work.bench.shelf
-    terms = terms_of(work.model, shelf)
-    said = conclude(work.bench.evidence, terms, shelf, poles=work.model.poles, shared=work.model.shared)
+    with Doing() as told:
+        told("reading the runs")
+        work = opened(names, runs, model, start, effects)
+        shelf, of = work.bench.shelf, work.model
+        said = conclude(work.bench.evidence, terms_of(of, shelf), shelf, poles=of.poles, shared=of.shared, told=told)
     if as_json:
         print_json(diagnosis_as_json(said, _compared(work, work.model).as_json([])["groups"]))
         return
@@ -358,6 +360,8 @@ def candidate_text(one: Candidate, nearest: bool) -> list[str]:
     head = f"{'nearest' if nearest else one.step}: {one.effect} ({one.title}{on}), probability {one.probability:.3g}"
     lines = [f"  {head}"]
     lines += [f"     {said}" for said in _sizes(one)]
+    if one.depends_on_band:
+        lines.append("     its size DEPENDS ON THE BAND: another comes out where twice the band is compared")
     size = "usual" if one.plausible else "NOT usual: look for another cause too"
     lines.append(f"     its size is {size}; U is expanded (k = 2)")
     lines.append(f"     error with it {one.error_after:.4g}, on held-out data {one.heldout_error_after:.4g} (noise 1)")

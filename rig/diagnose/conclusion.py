@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from rig.diagnose.bands import dependent
 from rig.diagnose.describe import Description, describe
-from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, diagnose
+from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, Told, diagnose, unheard
 from rig.diagnose.misfit import Group, untold
 from rig.diagnose.unseen import cannot_see
 from rig.fit import adequacy
@@ -58,6 +59,7 @@ class Candidate:
     step: int
     taken: bool
     tied: Tied | None = None  # parameters that are not known apart
+    depends_on_band: bool = False  # whether its size changes when twice the band of a sampled reference is compared
 
     def as_json(self) -> dict[str, Any]:
         """As `rig diagnose --json` gives it, SI; null for what has no finite value."""
@@ -70,6 +72,7 @@ class Candidate:
             "heldout_error_after": _finite(self.heldout_error_after),
             "parameters": {name: one.as_json() for name, one in self.parameters.items()},
             "not_known_apart": None if self.tied is None else self.tied.as_json(),
+            "depends_on_band": self.depends_on_band,
             "plausible": self.plausible,
             "because": self.because,
             "separate_by": self.separate_by,
@@ -128,20 +131,22 @@ class Conclusion:
 
 
 def conclude(
-    evidence: Evidence, terms: Sequence[Term], shelf: Mapping[str, Effect], *, poles: bool = True, shared: bool = False
-) -> Conclusion:
+    evidence: Evidence, terms: Sequence[Term], shelf: Mapping[str, Effect], *, poles: bool = True, shared: bool = False,
+    told: Told = unheard,
+) -> Conclusion:  # fmt: skip
     """Diagnose a model with these effects; `poles` says whether it has the channels' output filters, `shared` whether
     all channels of a quantity have one sensitivity.
 
     Without filters (the paper's model) the filter is tried first: it belongs to every channel, and what else is missing
-    shows only beside it. So are sensitivities of their own where they are shared.
+    shows only beside it. So are sensitivities of their own where they are shared. `told` hears what is being done.
     """
-    found = concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=True), shelf)
+    found = concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=True, told=told), shelf)
     if poles and not shared:
         return found
     base = evidence.fitted(terms, poles=poles, shared=shared)
     if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a part of every channel would explain
-        return concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=poles, shared=shared), shelf)
+        plain = diagnose(evidence, terms, shelf=shelf, poles=poles, shared=shared, told=told)
+        return concluded(evidence, plain, shelf)
     first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base, found.diagnosis.final)
     rest = [replace(one, step=one.step + 1) for one in found.candidates]
     candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
@@ -190,7 +195,7 @@ def _own_sensitivity(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
 
 def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effect]) -> Conclusion:
     """Everything there is to say about a diagnosis."""
-    found = list(_candidates(evidence, diagnosis))
+    found = _by_band(list(_candidates(evidence, diagnosis)), dependent(evidence, diagnosis.final))
     # what was taken comes first, then what it could be instead
     found.sort(key=lambda one: (not one.taken, one.step, -one.probability))
     at, worst = worst_of(diagnosis.base)
@@ -231,6 +236,16 @@ def _why(diagnosis: Diagnosis, choice: Choice, fit: Fit) -> str:
     if not choice.possible:
         return f"{where}; physics does not allow it"
     return f"{where}; this data does not exclude it" if fit.objective < diagnosis.final.objective + CLASS else where
+
+
+def _by_band(found: Sequence[Candidate], dependent: Set[tuple[str, Quantity | None]]) -> list[Candidate]:
+    """What was taken in a step and changes with the band is marked, and none of that step is likelier than evens."""
+    marked = {one.step for one in found if one.taken and (one.effect, one.on) in dependent}
+    return [
+        replace(one, probability=min(one.probability, EVENS), depends_on_band=one.taken)
+        if one.step in marked else one
+        for one in found
+    ]  # fmt: skip
 
 
 def _candidates(evidence: Evidence, diagnosis: Diagnosis) -> Iterator[Candidate]:

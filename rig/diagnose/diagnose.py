@@ -11,7 +11,7 @@ while records hold samples that are no measurement: what made them may have chan
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -112,31 +112,49 @@ class Diagnosis:
         return tuple(step.taken.name for step in self.steps)
 
 
+Told = Callable[[str], None]
+
+
+def unheard(doing: str) -> None:
+    """Nobody waits for it."""
+
+
 def diagnose(
     evidence: Evidence, terms: Sequence[Term] = (), *, shelf: Mapping[str, Effect] | None = None, poles: bool = True,
-    shared: bool = False,
+    shared: bool = False, told: Told = unheard,
 ) -> Diagnosis:  # fmt: skip
-    """Find what is missing in a model with these effects, without reading anything but the evidence."""
+    """Find what is missing in a model with these effects, without reading anything but the evidence.
+
+    `told` hears what is being done, as that may take long.
+    """
+    told("fitting the model as it is")
     shelf = shelf_of() if shelf is None else shelf
     base = evidence.fitted(terms, poles=poles, shared=shared)
-    misplaced = tuple(instruments.implausible(base))
     steps: list[Step] = []
     current = base
     first_scores: tuple[Score, ...] = ()
     memory: search.Memory = {}
-    for _ in range(MOST_STEPS):
+    for number in range(1, MOST_STEPS + 1):
+        told(f"looking for effect {number}{_after(steps)}")
         step, scored = _step(evidence, current, shelf, steps, memory)
         first_scores = first_scores or scored
         if step is None:
             break
         steps.append(step)
         current = step.after
+        told(f"looking at {len(steps)} found so far again{_after(steps)}")
         steps, current = _exchanged(steps, base, current, shelf, memory)
     if steps and (not adequacy.adequate(current) or _doubled(steps)):
+        told(f"trying pairs{_after(steps)}")
         steps, current = _paired(steps, base, current, shelf, memory)
+    told(f"refitting what ranks below{_after(steps)}")
     steps, current = _pruned(steps, base, current)
     steps = _together(steps, base, current)
-    return _concluded(base, current, steps, first_scores, misplaced, evidence.imported)
+    return _concluded(base, current, steps, first_scores, evidence.imported)
+
+
+def _after(steps: Sequence[Step]) -> str:
+    return f" (found: {', '.join(step.taken.name for step in steps)})" if steps else ""
 
 
 def _step(
@@ -388,9 +406,7 @@ def _as_in(whole: Fit, choice: Choice) -> Choice:
     return replace(choice, term=whole.state.terms[places[0]], u=whole.u(places[0]), whole=whole)
 
 
-def _concluded(
-    base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], misplaced: tuple[str, ...], imported: bool
-) -> Diagnosis:
+def _concluded(base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], imported: bool) -> Diagnosis:
     before, after = adequacy.excess(base), adequacy.excess(final)
     fine = adequacy.adequate(final)
     if imported and steps:  # references of others are less perfect: no more is left than the steps' own error
@@ -404,4 +420,5 @@ def _concluded(
         verdict = "undecided" if doubtful else "adequate"
     else:
         verdict = "missing"
-    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced)
+    # a gain that no data sheet allows may only make up for what was missing: it counts beside that
+    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, tuple(instruments.implausible(final)))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from rig.fit.fit import Fit, State, begin, fit
 from rig.model import Term
 from rig.parts.part import Part
 from rig.parts.reading import runs as reading
+from rig.parts.reading.reading import Reading
 from rig.parts.reading.runs import Reader
 
 
@@ -28,11 +30,17 @@ class Evidence:
     notes: tuple[str, ...]
     blind: tuple[str, ...] = field(default=())
     imported: bool = False  # whether all runs are
+    twice: Callable[[], Reading | None] | None = field(default=None, repr=False)  # compared up to twice the frequency
 
     @property
     def training(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Rows that are not held out, (rows,)."""
         return np.concatenate([~part.held_out for part in self.parts])
+
+    def further(self) -> Evidence | None:
+        """The same records with every sampled reference compared up to twice the frequency; None if none can be."""
+        found = None if self.twice is None else self.twice()
+        return None if found is None else replace(self, parts=found.parts, nuisances=found.known, twice=None)
 
     def start(self, terms: Sequence[Term] = (), *, poles: bool = True, shared: bool = False) -> State:
         """Where a fit of a model begins."""
@@ -58,6 +66,7 @@ def evidence_of(runs: Sequence[Recorded], read: Reader = reading.read) -> Eviden
         found.parts, found.known, tuple(run.name for run in runs), str(header["sensor"]["serial"]),
         any(bool(run.header["simulated"]) for run in runs), tuple(_notes(runs, found.parts)),
         tuple(dict.fromkeys(said for part in found.parts for said in part.blind)), reading.all_imported(runs),
+        partial(reading.twice, tuple(runs), found.parts),
     )  # fmt: skip
 
 

@@ -54,6 +54,7 @@ class Part(ABC):
     formulas: ClassVar[tuple[str, ...]] = ()
     extra_title: ClassVar[str] = "ripple"
     faults: tuple[Finding, ...] = ()
+    bands: tuple[float, ...] = ()  # Hz, up to which rates and forces of a sampled reference are compared
 
     def __init__(
         self, name: str, run: str, channels: Channels, width: int, *, row_names: tuple[str, ...] | None = None,

@@ -126,6 +126,7 @@ class TrackedMotion(Part):
             )
         width = sum(len(f) for f in self._frequencies)
         super().__init__(data.name, data.run, data.channels, width, notes=data.notes, blind=data.blind)
+        self.bands = data.bands
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid = Stretches(data.interval, data.records)
         self._moved: dict[tuple[object, ...], Motion] = {}

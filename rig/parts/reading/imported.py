@@ -66,6 +66,28 @@ def parts_of(foreign: Foreign) -> tuple[list[Part], list[Term]]:
     return list(found.parts), list(found.known)
 
 
+def twice(runs: Sequence[Foreign], parts: Sequence[Part]) -> Reading | None:
+    """The same with every sampled reference compared up to twice the frequency; None where there is none, or where it
+    does not reach so far.
+    """
+    bands = {part.run: part.bands for part in parts if part.bands}
+    if not bands:
+        return None
+    try:
+        found = Reading.joined(reading_of(_doubled(run, bands.get(run.run, ()))) for run in runs)
+    except BadInput:
+        return None
+    return replace(found, known=tuple(shared(found.known)))
+
+
+def _doubled(foreign: Foreign, bands: Sequence[float]) -> Foreign:
+    if not bands:
+        return foreign
+    further = dict(zip(("rate_band", "force_band"), (2.0 * one for one in bands), strict=True))
+    compared = foreign.manifest.compared.model_copy(update=further)
+    return replace(foreign, manifest=foreign.manifest.model_copy(update={"compared": compared}))
+
+
 def _refuse_standing_clocks(foreign: Foreign) -> None:
     """Time has to pass in a record. Raises BadInput."""
     for table in foreign.tables if foreign.manifest.time is not None else ():

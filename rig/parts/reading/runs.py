@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rig.archive.records import Recorded
 from rig.foreign.tables import foreign_of, is_foreign
+from rig.parts.part import Part
 from rig.parts.reading import imported, still, sweep, tumble, turntable
 from rig.parts.reading.reading import Reading
 
@@ -38,3 +39,8 @@ def remarks(run: Recorded) -> Iterator[str]:
         yield f"{run.name} is {run.status}: not every point of it was measured"
     if is_foreign(run):
         yield from (one.text for one in foreign_of(run).found)
+
+
+def twice(runs: Sequence[Recorded], parts: Sequence[Part]) -> Reading | None:
+    """Imported runs with sampled references compared up to twice the frequency, None where there is no such thing."""
+    return imported.twice([foreign_of(run) for run in runs], parts) if all_imported(runs) else None

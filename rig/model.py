@@ -110,9 +110,10 @@ class Channels:
     colours: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        labels = [labelled(name) for name in self.names]
-        object.__setattr__(self, "titles", self.titles or tuple(title for title, _ in labels))
-        object.__setattr__(self, "words", self.words or tuple(word for _, word in labels))
+        if not (self.titles and self.words):
+            labels = [labelled(name) for name in self.names]
+            object.__setattr__(self, "titles", self.titles or tuple(title for title, _ in labels))
+            object.__setattr__(self, "words", self.words or tuple(word for _, word in labels))
         object.__setattr__(self, "colours", self.colours or ("",) * len(self.names))
 
     def of(self, quantity: Quantity | None) -> NDArray[np.intp]:
@@ -123,6 +124,8 @@ class Channels:
 
     def only(self, index: NDArray[np.intp]) -> Channels:
         """Some of them."""
+        if np.array_equal(index, np.arange(len(self.names))):
+            return self
         arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
         labels: dict[str, Any] = {name: tuple(getattr(self, name)[i] for i in index) for name in _LABELS}
         return replace(self, **arrays, **labels)

@@ -1,4 +1,4 @@
-"""What tests share: one served bench with the clean world, and a way to have a bench of one's own."""
+"""What tests share: one served bench with the clean world, a way to have a bench of one's own, and processes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,21 @@ import pytest
 from rig.bench import control
 
 CLEAN = Path(__file__).parents[1] / "configs" / "worlds" / "clean.yaml"
+HERE = Path(__file__).parent
+
+
+APART = {"test_commands", "test_docs", "test_golden_values", "test_guarded_run", "test_real_data",
+         "test_shipped_procedures"}  # fmt: skip
+"""Modules of long tests that share nothing: each may have a process to itself."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whole commands first, so that no long one is left at the end; what a module makes once is made in one process."""
+    items.sort(key=lambda one: one.path.parent != HERE)
+    for one in items:
+        if one.path.stem not in APART:
+            one.add_marker(pytest.mark.xdist_group(one.path.relative_to(HERE).as_posix()))
 
 
 @pytest.fixture(scope="session")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import in_process
 import numpy as np
 import pages
 import pytest
@@ -16,9 +15,8 @@ import pytest
 from rig.bench import control
 
 
-def rig(runs: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
-    return subprocess.run(command, capture_output=True, text=True)
+def rig(runs: Path, *words: str) -> in_process.Done:
+    return in_process.rig(*words, "--runs", str(runs))
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import foreign_data as made
+import in_process
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
@@ -17,13 +15,8 @@ ROOT = Path(__file__).parents[1]
 SHIPPED = ROOT / "configs" / "imports"
 
 
-def rig(folder: Path, *words: str, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
-    environment |= {"RIG_RUNS": str(folder / "runs"), "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *words], capture_output=True, text=True, env=environment,
-        cwd=folder, check=False,
-    )  # fmt: skip
+def rig(folder: Path, *words: str, wanted: int = 0) -> in_process.Done:
+    done = in_process.rig(*words, folder=folder, RIG_RUNS=str(folder / "runs"))
     assert done.returncode == wanted, (words, done.stdout[-1500:], done.stderr[-1500:])
     assert "Traceback" not in done.stderr
     return done

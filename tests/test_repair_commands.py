@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import in_process
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -29,10 +27,8 @@ from rig.yaml.config import shipped
 HIDDEN = {"name": "cubic", "parameters": {"quantity": "acceleration", "coefficient": 3e-4}}
 
 
-def rig(runs: Path, *words: str, wanted: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rig", *words, "--runs", str(runs)]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+def rig(runs: Path, *words: str, wanted: int = 0) -> in_process.Done:
+    done = in_process.rig(*words, "--runs", str(runs))
     assert done.returncode == wanted, (words, done.stdout[-1500:], done.stderr[-1500:])
     assert "Traceback" not in done.stderr
     return done

@@ -99,6 +99,11 @@ class Experiment:
         return one if one is not None and one.z >= adequacy.LIMIT else None
 
     @cached_property
+    def missed(self) -> tuple[adequacy.Group, ...]:
+        """Groups of rows that the model misses."""
+        return tuple(one for one in adequacy.groups(self.fit) if one.z >= adequacy.LIMIT and one.count > 1)
+
+    @cached_property
     def _weights(self) -> Array:
         return prior_of(self.fit.parts, self.fit.state)[1]
 

@@ -19,7 +19,7 @@ from rig.calibrate import imported_noise
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, Result, Source, not_determined
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
-from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, missed, of_model, spoilt
+from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, of_model, spoilt
 from rig.calibrate.merging import in_volts, merged
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
@@ -179,7 +179,7 @@ def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found
     """A result with its budget: noise, widened where the model leaves more than it, and a line for every prior."""
     measurand, title, unit = what
     channels = {one for part in experiment.fit.parts for one in part.channels.names}
-    mine = [one.ratio for one in missed(experiment) if one.channel == name or one.channel not in channels]
+    mine = [one.ratio for one in experiment.missed if one.channel == name or one.channel not in channels]
     factor = max([1.0, *mine])
     lines = [Contribution(NOISE[0], "A", "normal", factor * found.u_noise / abs(scale), unit, 1.0)]
     called: dict[str, int] = {}

@@ -40,7 +40,7 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
     estimate = None if experiment is None else _estimate(experiment, result)
     if experiment is None or estimate is None or result.budget is None:
         return result
-    factor = max([1.0, *(one.ratio for one in missed(experiment) if _concerns(experiment, one, result.channel))])
+    factor = max([1.0, *(one.ratio for one in experiment.missed if _concerns(experiment, one, result.channel))])
     lines = tuple(_lines(result, estimate, factor))
     check = agreement.check(experiment, result.channel, estimate, direct, result.method)
     said = [] if experiment.worst is None else [inadequate(experiment, factor)]
@@ -80,11 +80,6 @@ def _level(experiment: Experiment, channel: str) -> Iterator[int]:
             both = float(along.min()) < -LEVEL and float(along.max()) > LEVEL
             if part.channels.rates[row] or both or float(np.abs(along).max()) < LEVEL:
                 yield number
-
-
-def missed(experiment: Experiment) -> list[adequacy.Group]:
-    """Groups of rows that the model misses."""
-    return [one for one in adequacy.groups(experiment.fit) if one.z >= adequacy.LIMIT and one.count > 1]
 
 
 def _concerns(experiment: Experiment, missed: adequacy.Group, channel: str) -> bool:

@@ -95,13 +95,12 @@ class Experiment:
     @cached_property
     def worst(self) -> adequacy.Group | None:
         """The group of rows that the model misses most, if it misses any."""
-        one = adequacy.worst(self.fit)
-        return one if one is not None and one.z >= adequacy.LIMIT else None
+        return next(iter(adequacy.standing(adequacy.groups(self.fit))), None)
 
     @cached_property
     def missed(self) -> tuple[adequacy.Group, ...]:
         """Groups of rows that the model misses."""
-        return tuple(one for one in adequacy.groups(self.fit) if one.z >= adequacy.LIMIT and one.count > 1)
+        return tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count > 1)
 
     @cached_property
     def _weights(self) -> Array:

@@ -25,7 +25,7 @@ from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import POLE_TOLERANCE, Fit
 from rig.fit.parameters import Estimate, Tied, covariance_of, estimates, independent, plausible, tied
-from rig.fit.quality import error_at, error_of, heldout_error, worst_of
+from rig.fit.quality import error_at, error_of, heldout_error, on_all_rows, worst_of
 from rig.model import Effect, Quantity, Term
 from rig.motion import Array
 from rig.parts.part import Finding
@@ -105,7 +105,7 @@ class Conclusion:
     `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
     `worst_at` says where the model as given fails most: its error there, and what is left of that. `untold` are groups
     of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` samples that were
-    left out, and what else looks wrong with the records.
+    left out, and what else looks wrong with the records; `judged` whether rows enough are held out to judge by.
     """
 
     verdict: str
@@ -123,6 +123,7 @@ class Conclusion:
     excluded: tuple[Excluded, ...] = ()
     untold: tuple[Group, ...] = ()
     faults: tuple[Finding, ...] = ()
+    judged: bool = True
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -215,6 +216,7 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         excluded=tuple(_excluded(diagnosis)),
         untold=tuple(untold(diagnosis.final)),
         faults=tuple(dict.fromkeys(one for part in evidence.parts for one in part.faults)),
+        judged=bool(diagnosis.held),
     )
 
 
@@ -224,6 +226,7 @@ def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
         for choice in step.ranked_below:
             fit = choice.whole or choice.fit
             if choice.full and fit is not None:
+                fit = on_all_rows(fit)
                 yield Excluded(number, choice.term.key, error_of(fit), _why(diagnosis, choice, fit))
             else:
                 yield Excluded(number, choice.term.key, None, f"it came nowhere near what {step.taken.name} removes")
@@ -296,7 +299,7 @@ def _probability(diagnosis: Diagnosis, choice: Choice) -> float:
 def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
     """What an unlisted effect looks like: the nearest on the shelf, its laws, and a formula to try as a term."""
     said = [nearest(diagnosis), *_laws(evidence, describe(evidence, diagnosis.base))]
-    groups = sorted((g for g in adequacy.groups(diagnosis.final) if g.z > adequacy.LIMIT), key=lambda g: -g.z)
+    groups = adequacy.standing(adequacy.groups(diagnosis.final))
     if groups:
         domains = dict.fromkeys(group.domain for group in groups)
         channels = dict.fromkeys(group.channel for group in groups)

@@ -90,7 +90,7 @@ class _Tried:
 
 def describe(evidence: Evidence, fit: Fit) -> Description:
     """Describe what a fitted model of this evidence leaves over."""
-    standing = sorted((g for g in adequacy.groups(fit) if g.z > adequacy.LIMIT and g.count > 1), key=lambda one: -one.z)
+    standing = [one for one in adequacy.standing(adequacy.groups(fit)) if one.count > 1]
     singles = sorted(_singles(evidence, fit), key=lambda one: -one.gain)
     chosen, found = _chosen(fit, singles)
     some = _channels_alone(evidence, standing)

@@ -2,10 +2,12 @@
 
 Every step takes the effect with the largest merit: the χ² that it removes after a full refit, less what chance gives to
 the best of so many candidates, less how unusual it is. A step is taken only if chance would hardly do as well. Effects
-that the data cannot tell from the one taken form its class. When no effect brings the rows to their noise, the verdict
-is *unlisted*, and the best candidate is only the nearest. Where nothing is found missing but noise is known only from
-what the model leaves over, the verdict is *undecided*: that nothing stands out of such noise means nothing. So it is
-while records hold samples that are no measurement: what made them may have changed others too.
+that the data cannot tell from the one taken form its class. All of this is decided on the rows that are not held out;
+those then judge what was decided, and only the parameters that are reported, and the order within a class, come from
+fits to everything. When no effect brings both to their noise, the verdict is *unlisted*, and the best candidate is only
+the nearest. Where nothing is found missing but noise is known only from what the model leaves over, the verdict is
+*undecided*: that nothing stands out of such noise means nothing. So it is while records hold samples that are no
+measurement, since what made them may have changed others too, and where too few rows are held out to judge.
 """
 
 from __future__ import annotations
@@ -15,14 +17,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from rig.diagnose import instruments, search
 from rig.diagnose.instruments import Finding
 from rig.diagnose.search import Candidate, Score
 from rig.fit import adequacy
 from rig.fit import fit as fitting
+from rig.fit.adequacy import Group
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
 from rig.model import Effect, Term
+from rig.parts.remainder import Mask
 from rig.shelf import shelf as shelf_of
 
 Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
@@ -96,7 +102,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is missing. `base` is the model as given, `final` with all steps taken; `scores` of the whole shelf."""
+    """What is missing. `base` is the model as given, `final` with all steps taken, both fitted to all rows.
+
+    `trained` is the final model fitted to those that are not held out, `held` says how the others judge it (none: too
+    few could). `scores` of the whole shelf.
+    """
 
     verdict: Verdict
     steps: tuple[Step, ...]
@@ -105,6 +115,8 @@ class Diagnosis:
     scores: tuple[Score, ...] = field(repr=False)
     explained: float = 0.0  # share of the excess that the steps explain
     misplaced: tuple[str, ...] = ()  # implausible metadata
+    trained: Fit | None = field(default=None, repr=False)
+    held: tuple[Group, ...] = field(default=(), repr=False)
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -129,7 +141,8 @@ def diagnose(
     """
     told("fitting the model as it is")
     shelf = shelf_of() if shelf is None else shelf
-    base = evidence.fitted(terms, poles=poles, shared=shared)
+    whole = evidence.fitted(terms, poles=poles, shared=shared)
+    base = fitting.fit(whole.parts, whole.state, use=_training(evidence, whole))
     steps: list[Step] = []
     current = base
     first_scores: tuple[Score, ...] = ()
@@ -149,12 +162,20 @@ def diagnose(
         steps, current = _paired(steps, base, current, shelf, memory)
     told(f"refitting what ranks below{_after(steps)}")
     steps, current = _pruned(steps, base, current)
-    steps = _together(steps, base, current)
-    return _concluded(base, current, steps, first_scores, evidence.imported)
+    steps = _together(_on_all_rows(steps, whole), whole)
+    trained = fitting.fit(whole.parts, steps[-1].after.state if steps else whole.state, use=base.use)
+    return _concluded(whole, trained, steps, first_scores, evidence.imported)
 
 
 def _after(steps: Sequence[Step]) -> str:
     return f" (found: {', '.join(step.taken.name for step in steps)})" if steps else ""
+
+
+def _training(evidence: Evidence, whole: Fit) -> Mask | None:
+    """Rows that effects are chosen by: those not held out; all of them (None) where those could not tell a thing."""
+    training = evidence.training
+    kept = int(np.count_nonzero(training & np.concatenate([part.counted for part in whole.parts])))
+    return training if whole.layout.size + adequacy.FEWEST_HELD <= kept < whole.count else None
 
 
 def _step(
@@ -376,13 +397,58 @@ def _pruned(steps: list[Step], base: Fit, current: Fit) -> tuple[list[Step], Fit
     return steps if len(steps) == before else _rebuilt(base, steps), current
 
 
-def _together(steps: Sequence[Step], base: Fit, final: Fit) -> list[Step]:
+def _on_all_rows(steps: Sequence[Step], base: Fit) -> list[Step]:
+    """The ladder of these steps fitted to everything."""
+    made: list[Step] = []
+    for step in steps:
+        before = made[-1].after if made else base
+        members = [_refitted(before, one) for one in step.members]
+        if len(steps) == 1:
+            members = _reordered(members)
+        assert members[0].fit is not None
+        left = (one for one in step.others if one not in step.members)
+        made.append(Step(members[0], tuple(members), (*members, *left), before, members[0].fit))
+    return made
+
+
+def _reordered(members: Sequence[Choice]) -> list[Choice]:
+    """A class by merit on all rows, with the probability that it had as a whole.
+
+    Which effects form it was decided without the rows held out; which of them comes first may lean on all.
+    """
+    if len(members) < 2 or members[0].term.effect.looks_in:
+        return list(members)
+    total, most = sum(one.probability for one in members), max(one.merit for one in members)
+    weights = [math.exp(0.5 * (one.merit - most)) for one in members]
+    shared = [
+        replace(one, probability=total * weight / sum(weights)) for one, weight in zip(members, weights, strict=True)
+    ]
+    return sorted(shared, key=lambda one: -one.merit)
+
+
+def _refitted(before: Fit, choice: Choice) -> Choice:
+    """A choice fitted to everything beside what was there before, with what it removes there."""
+    made = _with_terms(before, [choice.term])
+    if choice.term.effect.looks_in:
+        return replace(choice, fit=made)
+    if choice.term.effect.kinked:  # columns are chords, and a descent from elsewhere may end beside the lowest
+        nothing = choice.term.moved(**dict.fromkeys(choice.term.at, 0.0))
+        anew = search.refitted(before, search.scores(before, [nothing])[0]).fit
+        made = min(made, fitting.fit(before.parts, anew.state), key=lambda one: one.objective)
+    gain = before.objective - made.objective
+    merit = choice.merit + gain - choice.gain
+    return replace(choice, fit=made, gain=gain, merit=merit, term=made.state.terms[-1],
+                   u=made.u(len(made.state.terms) - 1))  # fmt: skip
+
+
+def _together(steps: Sequence[Step], base: Fit) -> list[Step]:
     """Every step's effect as the final fit has it, and its rivals as a fit beside all other steps' effects has them.
 
     What a step found alone has taken on some of what later steps explain.
     """
-    if len(steps) == 1 and steps[0].after is final:
+    if len(steps) < 2:
         return list(steps)
+    final = steps[-1].after
     return [
         _beside(step, [_at(final, other.taken.term) for other in steps if other is not step], base, final)
         for step in steps
@@ -406,19 +472,24 @@ def _as_in(whole: Fit, choice: Choice) -> Choice:
     return replace(choice, term=whole.state.terms[places[0]], u=whole.u(places[0]), whole=whole)
 
 
-def _concluded(base: Fit, final: Fit, steps: Sequence[Step], scored: tuple[Score, ...], imported: bool) -> Diagnosis:
+def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Score, ...], imported: bool) -> Diagnosis:
+    final = steps[-1].after if steps else base
     before, after = adequacy.excess(base), adequacy.excess(final)
-    fine = adequacy.adequate(final)
+    held = adequacy.unseen(trained)
+    fine = not adequacy.standing([*adequacy.groups(trained), *held])
     if imported and steps:  # references of others are less perfect: no more is left than the steps' own error
         fine = fine or after < SHARE * (base.objective - final.objective)
     explained = 1.0 - after / before if before > 0.0 else 1.0
     verdict: Verdict
     if not fine:
         verdict = "unlisted"
+    elif not held:
+        verdict = "undecided"
     elif not steps:
         doubtful = adequacy.untold(final) or any(not one.accepted for part in final.parts for one in part.faults)
         verdict = "undecided" if doubtful else "adequate"
     else:
         verdict = "missing"
     # a gain that no data sheet allows may only make up for what was missing: it counts beside that
-    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, tuple(instruments.implausible(final)))
+    misplaced = tuple(instruments.implausible(final))
+    return Diagnosis(verdict, tuple(steps), base, final, scored, explained, misplaced, trained, tuple(held))

@@ -22,9 +22,10 @@ from rig.diagnose.misfit_laws import Law, in_words, laws, strongest
 from rig.diagnose.whiteness import FEWEST, Whiteness, fisher_g, ljung_box, runs
 from rig.fit import adequacy
 from rig.fit import fit as fitting
-from rig.fit.adequacy import LIMIT
+from rig.fit.adequacy import RISK
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
+from rig.fit.tails import limit
 from rig.model import Term
 from rig.motion import Array
 from rig.parts.part import Finding, Origin
@@ -66,7 +67,9 @@ class Group:
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition: where, error against noise there, and how it grows in words; `z` as a normal deviate."""
+    """One condition: where, error against noise there, and how it grows in words; `z` as a normal deviate, and the most
+    that noise hardly makes of the largest.
+    """
 
     where: str
     ratio: float
@@ -75,11 +78,12 @@ class Condition:
     experiment: str
     component: str
     channels: tuple[str, ...]
+    most: float
 
     @property
     def stands_out(self) -> bool:
         """Whether noise hardly does as much."""
-        return self.z > LIMIT
+        return self.z > self.most
 
 
 @dataclass(frozen=True)
@@ -188,12 +192,13 @@ def _number(value: float) -> float | None:
 def conditions(found: Fit, made: Sequence[Table]) -> list[Condition]:
     """The three worst, each mostly in rows that no worse one explains."""
     ranked = sorted((one for table in made for one in cells(table)), key=lambda one: -one.z)
+    most = limit(RISK, len(ranked))
     taken: list[tuple[Cell, Condition]] = []
     for one in ranked:
         if len(taken) == CONDITIONS:
             break
         if not any(_same(one, other) for other, _ in taken):
-            condition = _condition(found, one)
+            condition = _condition(found, one, most)
             if not any(c.table.part.recurs(c.component) and c.component in condition.in_words for c, _ in taken):
                 taken.append((one, condition))
     return [condition for _, condition in taken]
@@ -214,19 +219,19 @@ def _same(one: Cell, other: Cell) -> bool:
     return bool(used.any()) and shared > (1.0 - OWN) * (one.chi2 - one.count)
 
 
-def _condition(found: Fit, one: Cell) -> Condition:
+def _condition(found: Fit, one: Cell, most: float) -> Condition:
     experiment = one.table.part.experiment
     name = _component(one.component)
     exact = [name, *([one.cut.words] if one.cut is not None else []), _who(one.channels, one.table)]
     where = f"{experiment}: {', '.join(exact)}"
-    if one.z <= LIMIT:
+    if one.z <= most:
         words = f"nothing stands out; most in {name}, {_who(one.channels, one.table)}, {one.ratio:.2g} times the noise"
-        return Condition(where, one.ratio, words, one.z, experiment, one.component, one.channels)
+        return Condition(where, one.ratio, words, one.z, experiment, one.component, one.channels, most)
     ordered = laws(found, _alike(one))
     law = in_words(ordered)
-    channels = _channels(one, ordered[0] if law else None)
+    channels = _channels(one, ordered[0] if law else None, most)
     said = [name, *_slices(one, channels), *([law] if law else []), _who(channels, one.table)]
-    return Condition(where, one.ratio, ", ".join(said), one.z, experiment, one.component, channels)
+    return Condition(where, one.ratio, ", ".join(said), one.z, experiment, one.component, channels, most)
 
 
 def _alike(one: Cell) -> Cell:
@@ -240,12 +245,12 @@ def _component(name: str) -> str:
     return {"magnitude": "magnitude", "phase": "phase", "mean": "mean output"}.get(name, name)
 
 
-def _channels(one: Cell, law: Law | None) -> tuple[str, ...]:
+def _channels(one: Cell, law: Law | None, most: float) -> tuple[str, ...]:
     """Channels that stand out in a cell's component, its own if none does alone."""
     found = [
         one.table.names[row]
         for row in range(len(one.table.names))
-        if (alone := cell(one.table, one.component, (row,), one.cut)) is not None and alone.z > LIMIT
+        if (alone := cell(one.table, one.component, (row,), one.cut)) is not None and alone.z > most
     ]
     if law is not None:
         found = [n for n in one.table.names if n in {*found, *strongest(law)}]

@@ -2,7 +2,7 @@
 
 A *component* is a kind of row: the mean, magnitude or phase of the driven line, a harmonic, hum, a band of frequency
 or an order per revolution. A *cell* is a component of some channels under one condition. χ² of few rows is far from
-normal, so its cube root is judged (Wilson and Hilferty 1931, PNAS 17, 684), with the allowance for estimated variances.
+normal, so its tail is judged, with the allowance for estimated variances.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.fit.adequacy import FEWEST
 from rig.fit.fit import Fit
+from rig.fit.tails import deviate
 from rig.motion import Array
 from rig.parts.part import ALLOWANCE, Part
 from rig.parts.remainder import Cut, Mask, Remainder
+
+FEWEST = 4  # rows of a cell: what is shown of fewer is mostly chance
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,7 @@ class Cell:
     @property
     def z(self) -> float:
         """How unusual χ² is, as a normal deviate."""
-        return deviate(self.chi2, self.count)
-
-
-def deviate(chi2: float, count: int) -> float:
-    """χ² of so many rows as a normal deviate, variances known to within the allowance."""
-    mean = 1.0 - 2.0 / (9.0 * count)
-    return (math.cbrt(chi2 / count) - mean) / math.sqrt(2.0 / (9.0 * count) + (ALLOWANCE / 3.0) ** 2)
+        return deviate(self.chi2, self.count, ALLOWANCE)
 
 
 def tables(found: Fit) -> list[Table]:

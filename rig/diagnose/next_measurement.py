@@ -18,6 +18,7 @@ from rig.diagnose.diagnose import Choice, Diagnosis
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
+from rig.fit.quality import on_all_rows
 from rig.motion import Array
 from rig.parts import experiments
 from rig.parts.part import Option, Part
@@ -56,7 +57,8 @@ def rivals(diagnosis: Diagnosis) -> list[Choice]:
     step = diagnosis.steps[-1]
     open_ones = {one.term.key: one for one in (*step.members, *step.others)}
     likely = [o for o in open_ones.values() if o.probability > LIKELY or o in step.members]
-    return sorted((one for one in likely if one.fit is not None), key=lambda one: -one.merit)[:MOST_RIVALS]
+    best = sorted((one for one in likely if one.fit is not None), key=lambda one: -one.merit)[:MOST_RIVALS]
+    return [replace(one, fit=on_all_rows(one.fit)) for one in best if one.fit is not None]
 
 
 def ranked(diagnosis: Diagnosis, floor: Floor | None = None) -> list[Ranked]:

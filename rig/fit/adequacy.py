@@ -2,22 +2,32 @@
 
 One χ² over everything hides a misfit that lives in a few rows. Rows are therefore tested in groups: means, every
 harmonic and the mains lines of each channel on the shaker; means and three bands of each channel on the turntable, for
-a moving platter and at rest. A density that was estimated is uncertain by some per cent; the tests allow for it.
+a moving platter and at rest. A density that was estimated is uncertain by some per cent; the tests allow for it, and
+for as many groups as there are.
+
+Rows that a fit left out are tested too, against their noise and what the fit does not know of its parameters: with J
+their derivatives and C the covariance of the fit, rᵀ(1 + J·C·Jᵀ)⁻¹r is χ² of as many rows as there are.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.fit import fit as fitting
 from rig.fit.fit import Fit
-from rig.parts.part import ALLOWANCE
+from rig.fit.tails import deviate, limit
+from rig.motion import Array
+from rig.parts.part import ALLOWANCE, Part
+from rig.parts.remainder import Indices, Mask
 
-LIMIT = 5.0  # standard deviations of a group's χ²
-FEWEST = 4
+RISK = 0.01  # that noise alone makes any of the groups stand out
+FEWEST = 2  # rows of a group
+EXCEEDS = 3.0  # deviates from which a group counts as more than noise in a sum
+FEWEST_HELD = 8  # rows held out, from which anything can be said of them
 
 
 @dataclass(frozen=True)
@@ -39,10 +49,8 @@ class Group:
 
     @property
     def z(self) -> float:
-        """Excess of χ²/n in standard deviations, with the allowance; of a single prior its distance."""
-        if self.count == 1:
-            return math.sqrt(self.chi2)
-        return (self.chi2 / self.count - 1.0) / math.sqrt(2.0 / self.count + self.allowance**2)
+        """How unusual χ² is, as a normal deviate, with the allowance; of a single prior its distance."""
+        return math.sqrt(self.chi2) if self.count == 1 else deviate(self.chi2, self.count, self.allowance)
 
 
 def groups(found: Fit) -> list[Group]:
@@ -53,14 +61,55 @@ def groups(found: Fit) -> list[Group]:
 
 def _of_part(found: Fit, number: int) -> Iterator[Group]:
     """Every kind of row of every name."""
-    part, rest = found.parts[number], found.rest(number)
-    table, used = (one.reshape(len(part.row_names), -1) for one in (rest.left**2, rest.used))
+    rest = found.rest(number)
+    for name, domain, mask, rows in _kinds(found.parts[number], rest.used):
+        part, left = found.parts[number], rest.left[rows]
+        yield Group(part.name, part.experiment, name, domain, float(left @ left), len(rows),
+                    part.allowance_of(name, mask))  # fmt: skip
+
+
+def _kinds(part: Part, used: Mask) -> Iterator[tuple[str, str, Mask, Indices]]:
+    """Name, domain, which of the name's rows are of that (width,), and which of the part's rows are and are used."""
     domains = part.domains()
     for row, name in enumerate(part.row_names):
         for domain, mask in domains.items():
-            here = used[row, mask]
-            chi2, count = float(table[row, mask][here].sum()), int(np.count_nonzero(here))
-            yield Group(part.name, part.experiment, name, domain, chi2, count, part.allowance_of(name, mask))
+            here = np.flatnonzero(mask) + row * part.width
+            yield name, domain, mask, here[used[here]]
+
+
+def unseen(trained: Fit) -> list[Group]:
+    """Every group of rows that a fit left out, with χ² as it is judged; [] where there are too few to judge."""
+    if trained.use is None:
+        return []
+    whole = fitting.linearised(trained.parts, trained.state)
+    found = [one for number in range(len(whole.parts)) for one in _predicted(whole, trained, number)]
+    return [one for one in found if one.count >= FEWEST] if sum(one.count for one in found) >= FEWEST_HELD else []
+
+
+def _predicted(whole: Fit, trained: Fit, number: int) -> Iterator[Group]:
+    """Groups of a part that were left out; `whole` has all rows and columns at the parameters of `trained`."""
+    part, first = whole.parts[number], whole.offsets()[number]
+    assert trained.use is not None
+    out = part.counted & ~trained.use[first : first + part.rows]
+    blocks = [one for one in whole.blocks if first <= one.rows.start < first + part.rows]
+    for name, domain, mask, rows in _kinds(part, out):
+        if len(rows):
+            block = next(one for one in blocks if one.rows.start <= first + rows[0] < one.rows.stop)
+            matrix = block.matrix[first + rows - block.rows.start]
+            chi2 = distance(whole.left[first + rows], matrix, block.columns, trained.normal)
+            allowance = part.allowance_of(name, mask)
+            yield Group(part.name, part.experiment, name, domain, chi2, len(rows), allowance)
+
+
+def distance(left: Array, matrix: Array, columns: Indices, normal: Array) -> float:
+    """rᵀ(1 + J·C·Jᵀ)⁻¹r of rows r (n,) with derivatives J (n, k) by some parameters, C the inverse of the normal matrix
+    of all; what that does not determine takes all that it can.
+    """
+    pull = np.zeros(len(normal))
+    more = normal.copy()
+    pull[columns] = matrix.T @ left
+    more[np.ix_(columns, columns)] += matrix.T @ matrix
+    return max(float(left @ left) - float(pull @ fitting.inverse(more) @ pull), 0.0)
 
 
 def _pulls(found: Fit) -> Iterator[Group]:
@@ -76,10 +125,15 @@ def worst(found: Fit) -> Group | None:
     return max(groups(found), key=lambda one: one.z, default=None)
 
 
+def standing(groups: Sequence[Group]) -> list[Group]:
+    """Those of all groups that stand out of the noise, the most unusual first."""
+    most = limit(RISK, len(groups))
+    return sorted((one for one in groups if one.z > most), key=lambda one: -one.z)
+
+
 def adequate(found: Fit) -> bool:
-    """Whether no group is above its noise by more than the limit."""
-    one = worst(found)
-    return one is None or one.z < LIMIT
+    """Whether no group stands out of its noise."""
+    return not standing(groups(found))
 
 
 def untold(found: Fit) -> list[tuple[int, str]]:
@@ -94,4 +148,4 @@ def untold(found: Fit) -> list[tuple[int, str]]:
 
 def excess(found: Fit) -> float:
     """χ² in excess of the number of rows, in groups that stand out."""
-    return sum(max(one.chi2 - one.count, 0.0) for one in groups(found) if one.z > 3.0)
+    return sum(max(one.chi2 - one.count, 0.0) for one in groups(found) if one.z > EXCEEDS)

@@ -22,6 +22,11 @@ def error_of(found: Fit) -> float:
     return math.sqrt(found.chi2 / found.count)
 
 
+def on_all_rows(found: Fit) -> Fit:
+    """The same model fitted to all rows."""
+    return found if found.use is None else fitting.fit(found.parts, found.state)
+
+
 def chi2_dof(found: Fit) -> float:
     """χ² of rows and priors over their number less that of the parameters."""
     _, weights = fitting.prior_of(found.parts, found.state)

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from rig.diagnose.misfit import Comparison, compare
-from rig.diagnose.misfit_cells import cells, deviate, tables
+from rig.diagnose.misfit_cells import cells, tables
 from rig.diagnose.whiteness import fisher_g, ljung_box, runs
 from rig.errors import BadInput
 from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.tails import deviate
 from rig.model import Term
 from rig.shelf import shelf
 
@@ -145,11 +146,11 @@ def test_cells_of_one_kind_share_all_rows_out_among_themselves() -> None:
 
 def test_the_deviate_of_chi_squared_is_normal_but_for_the_allowance() -> None:
     draws = np.random.default_rng(3).chisquare(6.0, 20000)
-    z = np.array([deviate(float(one), 6) for one in draws])
+    z = np.array([deviate(float(one), 6, 0.06) for one in draws])
     assert abs(z.mean()) < 0.03
     assert float(np.std(z)) == pytest.approx(1.0, abs=0.03)
     assert float(np.mean(z > 3.0)) < 3e-3
-    assert deviate(2.0e4, 10000) < (2.0e4 - 1e4) / math.sqrt(2e4)
+    assert deviate(2.0e4, 10000, 0.06) < (2.0e4 - 1e4) / math.sqrt(2e4)
 
 
 def test_runs_agree_with_a_sequence_counted_by_hand() -> None:

@@ -1,0 +1,118 @@
+"""What is held out decides: no choice sees those rows, and no model is called adequate before they were asked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import imported_worlds as worlds
+import numpy as np
+import pytest
+from imported_worlds import Sensor, response, response_table
+
+from rig.cli.repair import verdict_text
+from rig.diagnose.conclusion import concluded
+from rig.diagnose.diagnose import diagnose
+from rig.fit import adequacy
+from rig.fit import fit as fitting
+from rig.fit.evidence import Evidence
+from rig.fit.tails import deviate, limit, log_tail
+from rig.parts.response import ResponseTable
+from rig.shelf import shelf
+
+LATE = Sensor(gain=1.01, delay=2e-3)
+
+
+def table(sensor: Sensor, seed: int = 1, **how: Any) -> Evidence:
+    return worlds.evidence(response([response_table(sensor.phasor, seed, **how)]))
+
+
+def changed(evidence: Evidence, factor: float) -> Evidence:
+    """The same with every response that is held out so many times as large."""
+    parts = []
+    for part in evidence.parts:
+        assert isinstance(part, ResponseTable)
+        ratio = np.where(part.data.held, factor, 1.0) * part.data.ratio
+        parts.append(ResponseTable(replace(part.data, ratio=ratio)))
+    return replace(evidence, parts=tuple(parts))
+
+
+def test_tails_have_the_published_points_of_f_and_of_chi_squared() -> None:
+    one_in_a_hundred, one_in_a_thousand = 2.3263, 3.0902
+    assert deviate(10 * 2.632, 10, math.sqrt(2.0 / 60.0)) == pytest.approx(one_in_a_hundred, abs=1e-3)  # F(10, 60)
+    assert deviate(18.467, 4, 0.0) == pytest.approx(one_in_a_thousand, abs=1e-3)  # χ² of four
+    assert limit(0.01, 1) == pytest.approx(one_in_a_hundred, abs=1e-3)
+
+
+def test_of_few_rows_five_standard_deviations_are_nothing_much_and_of_many_they_are() -> None:
+    few, many = (n * (1.0 + 5.0 * math.sqrt(2.0 / n)) for n in (4, 4000))
+    assert deviate(few, 4, 0.0) < 3.1
+    assert deviate(many, 4000, 0.0) > 4.8
+
+
+@pytest.mark.parametrize("count", [1, 4, 60, 3000])
+def test_a_larger_error_is_always_more_unusual_however_far_out(count: int) -> None:
+    for allowance in (0.0, 0.06, 0.3):
+        found = [deviate(ratio * count, count, allowance) for ratio in np.geomspace(1.0, 1e9, 300)]
+        assert np.all(np.isfinite(found))
+        assert np.all(np.diff(found) > 0.0)
+        assert np.all(np.diff([log_tail(ratio, count, allowance) for ratio in np.geomspace(1.0, 1e9, 300)]) < 0.0)
+
+
+def test_what_a_fit_does_not_know_of_its_parameters_is_no_misfit_of_the_rows_that_it_left_out() -> None:
+    """Sixty tables of six frequencies: two of them are held out, and the gain is found from the other four."""
+    plain, judged, rows = 0.0, 0.0, 0
+    for seed in range(60):
+        evidence = table(Sensor(gain=1.01), seed, frequency=np.geomspace(10.0, 250.0, 6), repeats=1, wrong=0.0)
+        trained = fitting.fit(evidence.parts, evidence.start(), use=evidence.training)
+        left = fitting.residual(evidence.parts, trained.state)[~evidence.training]
+        normal, out = trained.normal, np.flatnonzero(~evidence.training)
+        (block,) = fitting.linearised(evidence.parts, trained.state).blocks
+        plain, rows = plain + float(left @ left), rows + len(left)
+        judged += adequacy.distance(left, block.matrix[out], block.columns, normal)
+    assert rows == 60 * 2 * 2
+    assert judged < plain
+    assert judged / rows == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_distance_of_rows_left_out_is_that_of_their_own_and_the_parameters_covariance() -> None:
+    random = np.random.default_rng(1)
+    matrix, fitted, left = random.normal(size=(5, 3)), random.normal(size=(9, 3)), random.normal(size=5)
+    normal = np.zeros((4, 4))
+    normal[1:, 1:] = fitted.T @ fitted
+    whole = np.eye(5) + matrix @ np.linalg.inv(fitted.T @ fitted) @ matrix.T
+    found = adequacy.distance(left, matrix, np.array([1, 2, 3]), normal)
+    assert found == pytest.approx(float(left @ np.linalg.solve(whole, left)))
+
+
+def test_what_a_fit_does_not_determine_takes_from_rows_left_out_all_that_it_can() -> None:
+    left = np.array([30.0, 31.0, 29.0])
+    found = adequacy.distance(left, np.ones((3, 1)), np.array([0]), np.zeros((1, 1)))
+    assert found == pytest.approx(2.0)  # what is left beside their mean
+
+
+def test_no_choice_sees_the_rows_that_are_held_out() -> None:
+    evidence = table(LATE)
+    true, other = diagnose(evidence), diagnose(changed(evidence, 1.05))
+    for found in (true, other):
+        assert found.steps[0].taken.name == "delay"
+    assert true.trained is not None
+    assert other.trained is not None
+    assert other.trained.chi2 == pytest.approx(true.trained.chi2, rel=1e-6)
+    assert (true.verdict, other.verdict) == ("missing", "unlisted")
+
+
+def test_a_model_that_holds_only_where_it_was_fitted_is_not_adequate() -> None:
+    assert diagnose(table(Sensor(gain=1.01))).verdict == "adequate"
+    assert diagnose(changed(table(Sensor(gain=1.01)), 1.05)).verdict == "unlisted"
+
+
+def test_with_too_few_rows_held_out_that_is_said_and_nothing_is_called_adequate() -> None:
+    evidence = table(Sensor(gain=1.01), frequency=np.geomspace(10.0, 250.0, 5), repeats=1)
+    found = diagnose(evidence)
+    assert found.held == ()
+    assert found.verdict == "undecided"
+    said = verdict_text(concluded(evidence, found, shelf()))
+    assert "too few rows are held out" in said
+    assert "nan" not in said

@@ -376,7 +376,7 @@ class Standard(Strict):
 
 class Compared(Strict):
     """What a model is compared with: frequencies up to `rate_band` for gyros and `force_band` for accelerometers, and
-    the share at the end of every record that is held out (unless a file is). Left out: what the data allow."""
+    the share of every record that is held out, all over it (unless a file is). Left out: what the data allow."""
 
     rate_band: Frequency | None = Field(default=None, gt=0)
     force_band: Frequency | None = Field(default=None, gt=0)

@@ -27,11 +27,11 @@ from rig.parts.platter_cuts import Rows
 from rig.parts.platter_records import PlatterRecords
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
+from rig.signals.blocks import spread, unmixed
 
 # Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled
 # edges leave patterns that the encoder's second and first derivative cannot tell from motion
 HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
-HELD_OUT = 3  # every third stretch is not fitted when a model is judged
 KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
@@ -96,12 +96,12 @@ class Platter(Part):
 
     @cached_property
     def _means(self) -> Array:
-        """Inverse Cholesky factor of the covariance of the stretches' means, (c, s, s)."""
+        """Inverse Cholesky factor of the covariance of the stretches' means, those held out last, (c, s, s)."""
         data = self.data
         since = float(data.time[0])
         begin = np.array([data.time[b] for b, _ in data.stretches]) - since - 0.5 * data.interval
         end = np.array([data.time[e - 1] for _, e in data.stretches]) - since + 0.5 * data.interval
-        found = [np.linalg.inv(np.linalg.cholesky(model.covariance(begin, end))) for model in data.noise]
+        found = [unmixed(model.covariance(begin, end), self._held) for model in data.noise]
         return np.asarray(np.array(found) * data.usable[:, None, None])
 
     @cached_property
@@ -198,9 +198,12 @@ class Platter(Part):
 
     @cached_property
     def held_out(self) -> NDArray[np.bool_]:
-        """Rows of every third stretch, (rows,)."""
-        out = self.of.stretch_of % HELD_OUT == HELD_OUT - 1
-        return np.tile(out, len(self.channels.names))
+        """Rows of every third stretch at rest, at each speed and between them, (rows,)."""
+        return np.tile(self._held[self.of.stretch_of], len(self.channels.names))
+
+    @cached_property
+    def _held(self) -> Mask:
+        return spread(self.of.states)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:

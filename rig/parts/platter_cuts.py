@@ -55,6 +55,15 @@ class Rows:
         rates = [self.data.counted.rate[b:e] for b, e in self.data.stretches]
         return np.array([abs(r.mean()) > 0.0 and float(np.std(r)) < STEADY * abs(r.mean()) for r in rates])
 
+    @cached_property
+    def states(self) -> list[tuple[str, bool]]:
+        """Speed of every stretch, or that it rests or speeds up or down, and whether it is inverted."""
+        found = []
+        for (begin, _), rate, steady in zip(self.data.stretches, self.mean_rates, self.steady, strict=True):
+            what = "rest" if rate == 0.0 else _speed(float(rate)) if steady else "ramp"
+            found.append((what, _inverted(self.data, begin)))
+        return found
+
     def domains(self) -> dict[str, Mask]:
         """Means, and bands of frequency, of a moving platter and at rest."""
         data, of, f = self.data, self.stretch_of, self.frequency_of

@@ -36,7 +36,7 @@ STEPS = 12
 NEARBY = 1e-3  # m/s², over which a derivative of the outputs is taken
 UPRIGHT = 0.8  # cosine, above which an axis counts as the upright one
 PARAMETERS = 9  # of a triad: three sensitivities, three zeros, three angles between its axes
-KNOWING = 10.0  # lines of the spectrum, for every pose, that tell how noisy its mean is
+KNOWING = 0.8  # degrees of freedom, for every second of a pose, that tell how noisy its mean is (80 clean tumbles)
 ALLOWANCE = 0.06
 
 
@@ -307,9 +307,9 @@ class Poses(Part):
 
     @property
     def allowance(self) -> float:
-        """Few poses tell the noise of a mean badly."""
-        poses = max(int(np.count_nonzero(~self._turned)), 1)
-        return max(ALLOWANCE, math.sqrt(2.0 / (KNOWING * poses)))
+        """Short poses tell the noise of a mean badly: most of it is slower than they are long."""
+        seconds = float(np.sum(self.data.seconds[~self._turned]))
+        return max(ALLOWANCE, math.sqrt(2.0 / max(KNOWING * seconds, 1.0)))
 
     def shapes(self, component: str) -> Mapping[str, Array]:
         """How an error of one axis, or of the angle between two, goes with the attitude, m/s²."""

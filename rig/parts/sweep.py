@@ -32,8 +32,7 @@ from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.parts.ripple import ELSEWHERE, Floor, said
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
-
-HELD_OUT = 3  # every third point of a run is not fitted when a model is judged
+from rig.signals.blocks import spread, unmixed
 
 
 class Sweep(Part):
@@ -115,7 +114,7 @@ class Sweep(Part):
 
     @cached_property
     def _means(self) -> Array:
-        """Inverse Cholesky factor of the covariance of the means, (c, p, p)."""
+        """Inverse Cholesky factor of the covariance of the means, those held out last, (c, p, p)."""
         data = self.data
         count = len(data.begin)
         found = np.zeros((len(data.noise), count, count))
@@ -124,7 +123,7 @@ class Sweep(Part):
             if len(used):
                 since = float(data.begin.min())  # numbers near the clock's own size would lose their last digits
                 covariance = model.covariance(data.begin[used] - since, data.end[used] - since)
-                found[c][np.ix_(used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
+                found[c][np.ix_(used, used)] = unmixed(covariance, self._held[used])
         return found
 
     @cached_property
@@ -240,13 +239,17 @@ class Sweep(Part):
 
     @cached_property
     def held_out(self) -> NDArray[np.bool_]:
-        """Rows of the points held out, else of every third (in the order in which they were measured), (rows,)."""
+        """Rows of the records held out, else of every third in time at each level and at rest, (rows,)."""
         c, p = self.data.usable.shape
-        driven = np.cumsum(self.data.index >= 0) - 1
-        out = (self.data.index >= 0) & (driven % HELD_OUT == HELD_OUT - 1)
-        if self.data.held is not None:
-            out = self.data.held
-        return np.broadcast_to(out[None, :, None], (c, p, WIDTH)).reshape(-1)
+        return np.broadcast_to(self._held[None, :, None], (c, p, WIDTH)).reshape(-1)
+
+    @cached_property
+    def _held(self) -> Mask:
+        data = self.data
+        if data.held is not None:
+            return data.held
+        levels = [level if driven else "" for level, driven in zip(data.level, data.driven, strict=True)]
+        return spread(levels)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:

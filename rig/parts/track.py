@@ -27,6 +27,7 @@ from rig.parts.conditions import filled, logged
 from rig.parts.part import Origin, Part
 from rig.parts.reference_motion import REMEMBERED, Shown, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Mask
+from rig.signals.blocks import unmixed
 from rig.signals.gapped_lines import whitening
 from rig.signals.incoherent import by_rising, incoherent
 from rig.signals.noise import NoiseModel
@@ -324,7 +325,8 @@ class TrackedMotion(Part):
     @cached_property
     def _means(self) -> dict[int, tuple[NDArray[np.intp], Array]]:
         """For channels with known noise the rows of the stretches' means, and the inverse Cholesky factor of their
-        correlations."""
+        correlations, those held out last.
+        """
         found = {}
         of_means = np.flatnonzero(self.frequency_of == 0.0)
         for row in range(len(self.channels.names)):
@@ -332,7 +334,7 @@ class TrackedMotion(Part):
                 says = np.flatnonzero(self._inside[row, of_means])
                 covariance = self._covariance(row, known.model)[np.ix_(says, says)]
                 scale = np.sqrt(np.diag(covariance))
-                found[row] = of_means[says], np.linalg.inv(np.linalg.cholesky(covariance)) * scale
+                found[row] = of_means[says], unmixed(covariance, self.data.held[says]) * scale
         return found
 
     @cached_property

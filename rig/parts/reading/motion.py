@@ -21,13 +21,13 @@ from rig.parts.reading.poses import signed
 from rig.parts.reading.track_noise import device_noise
 from rig.parts.reference_motion import Shown
 from rig.parts.track import TrackRecords, spun_force, spun_up
+from rig.signals.blocks import spread
 from rig.signals.encoder_angle import AngleTrack, encoder_track, quadrature_track
 from rig.signals.pose_track import PoseTrack, pose_track
 from rig.signals.shared_lines import shared_lines
 
 PIECE, SHORTEST_PIECE = 10.0, 3.0  # s of a stretch, at most and, of a short record, at least
 PIECES = 6  # of a short record
-ROUNDING = 1e-9
 SAMPLES = 4.0  # per period of the highest frequency compared
 TAPS = 24  # of the low-pass before thinning, per instant kept
 BEYOND = 1.5  # of a stated band: a reference that keeps 99 % there bends by less than 1e-3 within
@@ -35,6 +35,8 @@ SHORTEST = 4.0  # s of a record between gaps that is worth comparing
 LOW_PASS = 1.45  # of the band, half amplitude: flat within it, and nothing left at half the new rate
 EDGE = 2.0  # periods of the highest frequency at either end of a record that are not compared
 MOSTLY = 0.8  # of the instants: where gaps of the device cost more, what is between them is compared as it stands
+SLOW = 0.02  # of the fastest rate: a piece at rest
+STEADY = 0.1  # of its rate that a steady one varies
 LITTLE = 0.1  # of the motion of a record is no motion
 SHOWN = 3  # sentences on faults of a record of which nothing is left
 SURE = 0.5  # correlation of a gyro with the reference's rate that tells the sense
@@ -488,23 +490,33 @@ def _stretches(
     foreign: Foreign, runs: Sequence[tuple[_Piece, int, int]], records: Sequence[tuple[int, int]], interval: float,
     edge: int,
 ) -> tuple[tuple[tuple[int, int], ...], NDArray[np.bool_]]:  # fmt: skip
-    """Pieces of about equal length, and whether each is held out: of a file so marked, else evenly over every file.
+    """Pieces of about equal length, and whether each is held out: of a file so marked, else evenly over every file and
+    over what it does there.
 
     What creeps or steps in the course of a record shows only in pieces that are held out from all over it. The ends of
     a record, `edge` instants, are left out: what a model does to a motion is not known there, because what was before
     is not.
     """
-    by_file = any(table.held_out for table in foreign.tables)
-    share = foreign.manifest.compared.held_out
-    found, held, before = [], [], dict.fromkeys((table.label for table in foreign.tables), 0)
+    found, states, marked = [], [], []
     for (piece, begin, end), (first, _) in zip(runs, records, strict=True):
         begin, end, first = begin + edge, end - edge, first + edge
         seconds = (end - begin) * interval
         count = max(1, round(seconds / min(PIECE, max(seconds / PIECES, SHORTEST_PIECE))))
         length = (end - begin) // count
+        rate = np.atleast_2d(piece.of_track("rate", begin, end))
         for k in range(count):
             found.append((first + k * length, first + (k + 1) * length))
-            number = before[piece.table.label] = before[piece.table.label] + 1
-            due = math.floor(number * share + ROUNDING) > math.floor((number - 1) * share + ROUNDING)
-            held.append(piece.table.held_out if by_file else due)
-    return tuple(found), np.array(held)
+            states.append((piece.table.label, _state(rate[:, k * length : (k + 1) * length], rate)))
+            marked.append(piece.table.held_out)
+    if any(table.held_out for table in foreign.tables):
+        return tuple(found), np.array(marked)
+    return tuple(found), spread(states, foreign.manifest.compared.held_out)
+
+
+def _state(rate: Array, whole: Array) -> str:
+    """Rest, a steady rate (to a tenth of its logarithm), or what is neither, of some of the instants of `whole`."""
+    size, mean = float(np.sqrt(np.mean(np.sum(rate**2, axis=0)))), float(np.linalg.norm(rate.mean(axis=1)))
+    if size < SLOW * float(np.sqrt(np.max(np.sum(whole**2, axis=0), initial=0.0))):
+        return "rest"
+    steady = size**2 - mean**2 < (STEADY * size) ** 2
+    return f"{rate.mean(axis=1).sum() > 0.0} {10.0 * math.log(mean):.0f}" if steady else "moving"

@@ -23,11 +23,11 @@ from rig.model import Channels
 from rig.motion import Array
 from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import PARAMETERS
+from rig.signals.blocks import THIRD, spread
 from rig.signals.noise_at_rest import noises_at_rest
 from rig.units import STANDARD_GRAVITY
 
 ROOM_FOR_FIT = 4  # poses beside the parameters, so that a fit to the rest means something
-HELD_OUT = 3  # every third pose, where the last ones cannot be spared
 REPEATED = 0.002  # rad: poses closer than this are one pose, taken twice
 FEWEST = 3  # pairs of them from which their scatter is known
 
@@ -164,23 +164,22 @@ def _marked(one: Interval, held: bool) -> Interval:
 
 
 def held_out(intervals: Sequence[Interval], share: float, *, ordered: bool = False) -> tuple[list[Interval], str]:
-    """What a model is judged by: the last poses; every third if the rest were too few, or if they come in an `ordered`
-    sequence of faces, the last of which nothing else shows; else the end of every pose.
+    """What a model is judged by: poses from all over the record, as many as the `share`, or every third if the rest
+    were too few or they come in an `ordered` sequence of faces; else the end of every pose. Turns that were made
+    several times are shared out likewise.
     """
     poses = sorted((one for one in intervals if not one.turns), key=_begin)
-    turns = [one for one in intervals if one.turns]
+    turns = sorted((one for one in intervals if one.turns), key=_begin)
     needed, count = PARAMETERS + ROOM_FOR_FIT, len(poses)
-    last = count - round(share * count)
-    if last >= needed and not ordered:
-        begin = poses[last].first
-        early = {one.angle for one in turns if one.first < begin}
-        late = [_marked(one, one.first >= begin and one.angle in early) for one in turns]
-        said = f"held out: the last {count - last} of {count} poses, and turns then that were made before too"
-        return [*(_marked(one, one.first >= begin) for one in poses), *late], said
-    if count - count // HELD_OUT >= needed:
-        why = "they go round the faces in order" if ordered else f"the last {count - last} cannot be spared"
-        said = f"held out: every third of {count} poses, because {why}"
-        return [*(_marked(one, k % HELD_OUT == HELD_OUT - 1) for k, one in enumerate(poses)), *turns], said
+    for part in (THIRD,) if ordered else (share, THIRD):
+        out = spread([""] * count, part)
+        held = int(np.count_nonzero(out))
+        if count - held >= needed:
+            made = [*zip(poses, out, strict=True), *zip(turns, spread([one.angle for one in turns], part), strict=True)]
+            said = (
+                f"held out: {held} of {count} poses, from all over the record, and as many of turns made several times"
+            )
+            return [_marked(one, bool(mark)) for one, mark in made], said
     pieces = [piece for one in poses for piece in _cut(one, share)]
     said = (
         f"held out: the last {share:.0%} of the time of each pose, because none of {count} can be spared; "

@@ -1,8 +1,11 @@
 """What an effect that is on no shelf looks like: where it shows, how it grows, and a formula to try as a term.
 
-A small library of formulas is scored against what the model leaves over, alone and in pairs, and the best is refitted
-with all parameters of the model. Exponents are read from what is left once the formula's term is taken out again: the
-model's own parameters stay where the formula has put them, so that they hide nothing of it.
+A small library of formulas is scored against what the model leaves over, alone, in pairs and with more waves, and the
+best is refitted with all parameters of the model. All of that is done on the rows that are not held out; the others
+judge it, and what explains nothing of them is not offered. What is offered is then fitted to everything, in the way in
+which `rig add` does it, and said with the errors that `rig add` will find. Exponents are read from what is left once
+the formula's term is taken out again: the model's own parameters stay where the formula has put them, so that they
+hide nothing of it.
 """
 
 from __future__ import annotations
@@ -18,10 +21,12 @@ import numpy as np
 from rig.diagnose import search
 from rig.diagnose.search import Candidate, Score
 from rig.fit import adequacy
+from rig.fit import fit as fitting
 from rig.fit.adequacy import Group
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
-from rig.formula import formula_effect, meets, parse, term_of
+from rig.fit.quality import Errors, errors_of, heldout_rows
+from rig.formula import MOST, formula_effect, meets, parse, term_of
 from rig.model import Quantity, Term
 from rig.motion import Array
 from rig.parts.formulas import ANYWHERE
@@ -33,6 +38,9 @@ CHANCE = 25.0  # χ² that the best of the library gains by chance
 WORTH = 0.01  # of the first term's gain: a second must bring more
 PAIRED = 6  # best single terms that are tried in pairs
 REFITS = 3
+HELD_CHANCE = 9.0  # χ² that held-out rows hardly lose by chance
+PROPORTION = 0.25  # of what as many fitted rows lose
+REPAIRED = 1.1  # χ²/n of held-out rows: little more than noise
 SHARE = 0.1  # of the strongest order's gain
 WHOLE = 0.95  # share of the excess: a formula that explains as much is taken as the truth
 COMPETES = 0.5  # of the best gain: a family of terms that does worse does not describe it
@@ -53,7 +61,8 @@ class Description:
     gain that a term in time alone would have. `formula`, `on`, `starts` and `only` (its channels, () for all) go to
     `rig.formula.formula_effect`; '' without a formula.
     `term` is the formula refitted, `u` standard uncertainties of its coefficients, `explained` the share of the excess
-    over the noise that it takes away.
+    over the noise that it takes away. `held`: χ²/n of the rows held out without and with it, fitted to the others.
+    `before` and `after` are the errors that it changes when it is added.
     """
 
     domains: tuple[str, ...]
@@ -72,6 +81,14 @@ class Description:
     explained: float
     words: tuple[str, ...]
     fit: Fit | None = field(default=None, repr=False)
+    held: tuple[float, float] | None = None
+    before: Errors | None = field(default=None, repr=False)
+    after: Errors | None = field(default=None, repr=False)
+
+    @property
+    def repairs(self) -> bool:
+        """Whether rows that it was not fitted to are noise with it."""
+        return self.held is not None and self.held[1] <= REPAIRED
 
 
 @dataclass(frozen=True)
@@ -88,8 +105,9 @@ class _Tried:
         return self.score.gain
 
 
-def describe(evidence: Evidence, fit: Fit) -> Description:
-    """Describe what a fitted model of this evidence leaves over."""
+def describe(evidence: Evidence, whole: Fit) -> Description:
+    """Describe what a model of this evidence leaves over; `whole` is its fit to all rows."""
+    fit = fitting.fit(whole.parts, whole.state, use=evidence.training)
     standing = [one for one in adequacy.standing(adequacy.groups(fit)) if one.count > 1]
     singles = sorted(_singles(evidence, fit), key=lambda one: -one.gain)
     chosen, found = _chosen(fit, singles)
@@ -101,26 +119,58 @@ def describe(evidence: Evidence, fit: Fit) -> Description:
             (chosen, found), singles = alone, theirs
     if found is None or found.gain < CHANCE:
         chosen, found = None, None
-    orders, growth = _orders(singles), _growth(singles, chosen)
+    held = _held(fit, found) if found is not None else None
     made = Description(
         domains=tuple(dict.fromkeys(g.domain for g in standing)),
         channels=tuple(dict.fromkeys(g.channel for g in standing)),
         exponents=_exponents(fit, found, standing),
-        orders=orders,
+        orders=_orders(singles),
         parity=_parity(fit, found, standing),
-        growth=growth,
-        formula=_text(chosen.shapes) if chosen else "",
-        on=chosen.on if chosen else None,
-        starts=_starts(chosen.shapes) if chosen else {},
-        only=chosen.only if chosen else (),
-        term=found.term if found else None,
-        u=found.u if found else {},
-        gain=found.gain if found else 0.0,
-        explained=_explained(fit, found),
-        words=(),
-        fit=found.fit if found else None,
-    )
+        growth=_growth(singles, chosen),
+        formula="", on=None, starts={}, only=(), term=None, u={}, gain=0.0, explained=_explained(fit, found), words=(),
+        held=None if held is None else (held.before, held.after),
+    )  # fmt: skip
+    if chosen is not None and found is not None and held is not None and held.explains(found.gain):
+        made = _offered(evidence, whole, chosen, made)
     return replace(made, words=tuple(_words(made, standing)))
+
+
+@dataclass(frozen=True)
+class _Held:
+    """χ² per row of the rows held out without and with a formula that was fitted to the others; `fitted` is theirs."""
+
+    before: float
+    after: float
+    rows: int
+    fitted: int
+
+    def explains(self, gain: float) -> bool:
+        """Whether they lose so much of χ² as by chance they do not, and not much less in proportion than the others."""
+        fallen = self.rows * (self.before - self.after)
+        return fallen > max(HELD_CHANCE, PROPORTION * gain * self.rows / self.fitted)
+
+
+def _held(fit: Fit, found: Candidate) -> _Held | None:
+    """None where too few rows are held out to judge."""
+    out = heldout_rows(fit)
+    rows = int(np.count_nonzero(out))
+    if rows < adequacy.FEWEST_HELD:
+        return None
+    polished = fitting.fit(fit.parts, found.fit.state, use=fit.use)
+    before, after = (fitting.squares(fitting.residual(fit.parts, one.state, out)) for one in (fit, polished))
+    return _Held(before / rows, after / rows, rows, fit.count)
+
+
+def _offered(evidence: Evidence, whole: Fit, chosen: _Tried, made: Description) -> Description:
+    """With the formula as `rig add` will fit it to everything."""
+    nothing = _term(chosen.shapes, chosen.on, chosen.only)
+    again = search.refitted(whole, search.scores(whole, [nothing])[0])
+    fit = fitting.fit(whole.parts, again.fit.state)
+    return replace(
+        made, formula=_text(chosen.shapes), on=chosen.on, starts=_starts(chosen.shapes), only=chosen.only,
+        term=fit.state.terms[-1], u=fit.u(len(fit.state.terms) - 1), gain=whole.objective - fit.objective, fit=fit,
+        before=errors_of(evidence, whole), after=errors_of(evidence, fit),
+    )  # fmt: skip
 
 
 def _explained(fit: Fit, found: Candidate | None) -> float:
@@ -174,14 +224,31 @@ def _scored(fit: Fit, shapes: Sequence[tuple[str, ...]], on: Quantity, only: tup
 
 
 def _chosen(fit: Fit, singles: Sequence[_Tried]) -> tuple[_Tried | None, Candidate | None]:
-    """The best formula of one term, or of two if the second is worth it, refitted."""
+    """The best formula of one term, or of two if the second is worth it, and more waves beside waves, refitted."""
     if not singles:
         return None, None
     one = _best(fit, singles[:REFITS])
     two = _best(fit, sorted(_pairs(fit, singles), key=lambda tried: -tried.gain)[:REFITS])
     if two is not None and one is not None and two[1].gain - one[1].gain > max(CHANCE, WORTH * one[1].gain):
-        return two
+        return _with_more_waves(fit, two, singles)
     return one or (None, None)
+
+
+def _with_more_waves(fit: Fit, found: tuple[_Tried, Candidate], singles: Sequence[_Tried]) -> tuple[_Tried, Candidate]:
+    """A wave of the angle with waves of other orders, each by sine and cosine, as long as they are worth it."""
+    while len(found[0].shapes) + 2 <= MOST and all("theta" in one for one in found[0].shapes):
+        there = found[0].shapes
+        waves = [one.shapes[0].replace("sin(", "cos(") for one in singles if one.on == found[0].on]
+        orders = [one for one in dict.fromkeys(waves) if "cos(" in one]
+        pairs = [(one, one.replace("cos(", "sin(")) for one in orders]
+        more = [pair for pair in pairs if not set(pair) <= set(there)][:PAIRED]
+        sets = [tuple(dict.fromkeys((*there, *pair))) for pair in more]
+        tried = sorted(_scored(fit, sets, found[0].on, found[0].only), key=lambda one: -one.gain)
+        best = _best(fit, tried[:1])
+        if best is None or best[1].gain - found[1].gain < max(CHANCE, WORTH * found[1].gain):
+            break
+        found = best
+    return found
 
 
 def _best(fit: Fit, tried: Sequence[_Tried]) -> tuple[_Tried, Candidate] | None:
@@ -337,6 +404,23 @@ def _words(one: Description, standing: Sequence[Group]) -> Iterator[str]:
         those = f"{_some(one.only)} only" if one.only else f"all channels of {one.on}"
         yield f"A term to try, on {those}: {one.formula} with {values}."
         yield f"It takes {one.gain:.4g} off χ²" + (f" and explains {one.explained:.0%}." if standing else ".")
+        yield from _judged(one)
+    elif standing:
+        yield "No formula of the library explains what is held out of the fit: none is offered."
+
+
+def _judged(one: Description) -> Iterator[str]:
+    """What held-out rows say of the formula, and what adding it will change."""
+    if one.held is not None:
+        before, after = one.held
+        part = "" if one.repairs else ", so it is not the whole of it"
+        yield f"On rows held out, which it was not fitted to, χ²/n falls from {before:.3g} to {after:.3g}{part}."
+    if one.before is not None and one.after is not None:
+        now = one.after.worst.ratio if one.fit is None else one.after.at(one.fit, one.before.worst.where).ratio
+        yield (
+            f"Added, it brings the error from {one.before.error:.4g} to {one.after.error:.4g} times the noise, and in "
+            f"{one.before.worst.where} from {one.before.worst.ratio:.3g} to {now:.3g}."
+        )
 
 
 def _some(names: Sequence[str], most: int = 4) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import fast_bench
 import numpy as np
@@ -13,12 +14,18 @@ import pytest
 from fixtures import channels as cabling
 from fixtures.imperfections import SHELF, Array, Imperfection
 from fixtures.motion import Motion as TrueMotion
+from rig.archive.records import Recorded
+from rig.cli.repair import add
+from rig.diagnose.conclusion import trying
 from rig.diagnose.describe import Description, describe
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
-from rig.formula import formula_effect, meets, term_of
+from rig.formula import formula_effect, meets, own_term, term_of
 from rig.model import BOTH
 from rig.parts.formulas import ANYWHERE, OF_PLATTER, OF_SHAKER
+from rig.parts.sweep import Sweep
+from rig.repair.repair import Repaired, added, bench_of, channels_named, new
+from rig.shelf import shelf
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}
 TURNS = {"procedure": "turntable", "revolutions": 10, "rest": "30 s", "all": True}
@@ -39,18 +46,20 @@ class _Bent(Imperfection):
 
 @dataclass
 class _Poles(Imperfection):
-    """Gyros feel five poles around the platter, and the root of its rate."""
+    """Gyros feel five poles around the platter, the cube of one, and the root of its rate."""
 
     name = "poles"
     stage = "transducer"
     wave: float = 0.0
     root: float = 0.0
+    cube: float = 0.0
 
     def felt(self, channel: cabling.Channel, felt: Array, motion: TrueMotion) -> Array:
         if channel.quantity != "rate" or motion.mount.place != "turntable":
             return felt
         root = np.sqrt(np.abs(motion.rate[1]))
-        return np.asarray(felt + self.wave * np.sin(5.0 * motion.angle + 0.7) + self.root * root)
+        waves = self.wave * np.sin(5.0 * motion.angle + 0.7) + self.cube * np.cos(motion.angle - 0.4) ** 3
+        return np.asarray(felt + waves + self.root * root)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -62,15 +71,73 @@ def strangers() -> Iterator[None]:
         yield
 
 
+def _measured(document: dict[str, object], hidden: list[dict[str, object]]) -> Recorded:
+    return fast_bench.measure(document, fast_bench.world(11, hidden))
+
+
 def _described(document: dict[str, object], hidden: list[dict[str, object]]) -> tuple[Evidence, Description]:
-    evidence = evidence_of([fast_bench.measure(document, fast_bench.world(11, hidden))])
+    evidence = evidence_of([_measured(document, hidden)])
     return evidence, describe(evidence, evidence.fitted())
+
+
+def _added(records: Recorded, line: str) -> Repaired:
+    """What the printed command does, read as the command line reads it."""
+    program, name, *words = shlex.split(line)
+    assert (program, name) == ("rig", "add")
+    asked = add.make_context("add", words).params
+    bench = bench_of([records], shelf())
+    quantity, channels = channels_named(bench, asked["on"])
+    own = own_term(asked["formula"], asked["start"], channels)
+    return added(bench, new(bench, "datasheet"), asked["effect"], quantity, own)
 
 
 def _repairs(evidence: Evidence, found: Description) -> bool:
     assert found.on is not None
     effect = formula_effect("tried", found.formula, on=found.on, starts=found.starts, channels=found.only)
     return adequacy.adequate(evidence.fitted([term_of(effect)]))
+
+
+def test_the_printed_command_does_what_is_said_of_it() -> None:
+    records = _measured({**SWEEP, "points": 8}, [{"name": "bent", "parameters": {"alone": 1.0}}])
+    evidence = evidence_of([records])
+    found = describe(evidence, evidence.fitted())
+    assert found.repairs
+    line = trying(evidence.runs, found, set())
+    assert "--on unit_b_x" in line
+    made = _added(records, line)
+    assert found.before is not None
+    assert found.after is not None
+    where = found.before.worst.where
+    assert f"{made.before.error:.4g} to {made.after.error:.4g} times" in " ".join(found.words)
+    assert f"in {where} from {made.before.worst:.3g} to {made.at(where).ratio:.3g}." in " ".join(found.words)
+    assert made.after.heldout == pytest.approx(found.after.heldout, rel=1e-3)
+    assert found.held is not None
+    assert f"{found.held[1]:.3g}" in " ".join(found.words)
+
+
+def test_what_explains_nothing_of_what_is_held_out_is_not_offered() -> None:
+    """A square of the drive in the rows that are fitted, and none in those held out."""
+    document = {**SWEEP, "points": 8}
+    bent, clean = (evidence_of([_measured(document, hidden)]) for hidden in ([{"name": "bent"}], []))
+    (part,), (other,) = bent.parts, clean.parts
+    assert isinstance(part, Sweep)
+    assert isinstance(other, Sweep)
+    held = part.held_out.reshape(len(part.channels.names), len(part.data.index), -1)[:, :, :1]
+    observed = np.where(held, other.data.observed, part.data.observed)
+    mixed = replace(bent, parts=(Sweep(replace(part.data, observed=observed)),))
+    found = describe(mixed, mixed.fitted())
+    assert found.held is not None
+    assert found.held[1] > found.held[0]
+    assert (found.formula, found.term) == ("", None)
+    assert any("none is offered" in sentence for sentence in found.words)
+
+
+def test_the_cube_of_a_wave_is_repaired_by_waves_of_two_orders() -> None:
+    evidence, found = _described(TURNS, [{"name": "poles", "parameters": {"cube": 0.02}}])
+    assert set(found.orders) == {1, 3}
+    assert sorted(found.formula.count(f"({order}*theta)") for order in (1, 3)) == [2, 2]
+    assert found.repairs
+    assert _repairs(evidence, found)
 
 
 def test_a_square_of_the_drive_is_described_by_lines_powers_and_parity() -> None:

@@ -80,13 +80,14 @@ def test_the_hidden_effect_is_named_with_its_true_size(diagnosis: Mapping[str, A
 
 def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(diagnosis: Mapping[str, Any]) -> None:
     assert set(diagnosis) == {
-        "verdict", "groups", "candidates", "excluded", "untold", "findings", "description", "cannot_see",
+        "verdict", "groups", "candidates", "excluded", "untold", "findings", "description", "cannot_see", "error",
+        "heldout_error", "error_after", "heldout_error_after", "worst_at", "worst_after", "references",
     }  # fmt: skip
     before = max(group["ratio"] for group in diagnosis["groups"])
     for one in diagnosis["candidates"]:
         assert set(one) == {
             "effect", "on", "class", "probability", "error_after", "heldout_error_after", "parameters", "plausible",
-            "because", "separate_by", "step", "taken",
+            "because", "separate_by", "step", "taken", "worst_after",
         }  # fmt: skip
         assert 0.0 <= one["probability"] <= 1.0
         assert one["effect"] in one["class"]
@@ -115,7 +116,7 @@ def test_one_level_only_is_said(runs: Path) -> None:
 
 def test_comparing_shows_where_the_model_fails_and_draws_it(runs: Path, first_run: str) -> None:
     found = asked(runs, "compare", first_run, "--model", str(runs / "none.yaml"), "--png")
-    assert set(found) == {"groups", "worst", "findings", "figures"}
+    assert set(found) == {"groups", "error", "heldout_error", "worst_at", "worst", "references", "findings", "figures"}
     assert found["groups"]
     assert 1 <= len(found["worst"]) <= 3
     assert all(Path(path).read_bytes() for path in found["figures"])

@@ -7,6 +7,7 @@ the unit, or the one that `--model` names. They end with exit code 0 whatever th
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +21,9 @@ from rig.cli.progress import Doing
 
 if TYPE_CHECKING:
     from rig.diagnose.conclusion import Candidate, Conclusion
-    from rig.diagnose.misfit import Comparison, Condition, Group
+    from rig.diagnose.misfit import Comparison, Group
     from rig.diagnose.prediction import Prediction
+    from rig.fit.quality import Place
     from rig.repair.model_file import Model, Step
     from rig.repair.repair import Bench, Repaired
 
@@ -102,10 +104,13 @@ def compare(
     said besides what one level of its own for every channel would explain.
 
     \f
-    `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `ratio`, `heldout_ratio`,
-    `noise_from`), `worst` (a list of `where`, `ratio`, `in_words`), `findings` (as `rig import` gives them) and
-    `figures`; with `--as-is` `groups`, `with_levels` (groups again), `levels` (a list of `channel`, `relative`, `u`)
-    and `shape_holds`.
+    `--json` gives `groups` (a list of `name`, `channels`, `experiment`, `error`, `noise`, `unit`, `ratio`,
+    `heldout_ratio`, `heldout_error`, `noise_from`), `error` and `heldout_error` of all rows together (noise = 1, null
+    where too few are held out), `worst_at` (`where` it is worst, with `ratio`, `heldout_ratio`, `error`, `unit`),
+    `worst` (a list of `where`, `ratio`, `in_words`), `references` that would have to leave their stated uncertainty
+    (`effect`, `parameter`, `times`, `in_words`), `findings` (as `rig import` gives them) and `figures`; with
+    `--as-is` `groups`, `with_levels` (groups again), `levels` (a list of `channel`, `relative`, `u`) and
+    `shape_holds`.
     """
     work = opened(names, runs, model, start, effects)
     if as_is:
@@ -118,7 +123,9 @@ def compare(
         return
     notes = _notes_text(work)
     left_out = [f"found: {one.in_words}" for one in found.faults]
-    said = [*groups_text(found.groups), *worst_text(found.worst), *untold_text(found.groups), *left_out, *notes]
+    said = [
+        *groups_text(found.groups), all_text(found), *worst_text(found), *untold_text(found.groups), *left_out, *notes
+    ]  # fmt: skip
     click.echo("\n".join([_title("compare", work), *said]))
     for path in drawn:
         click.echo(f"figure: {path}")
@@ -202,21 +209,47 @@ def groups_text(groups: Iterable[Group]) -> list[str]:
     """The table of errors by group of rows, SI."""
     rows = list(groups)
     width = max((len(one.name) for one in rows), default=0)
-    lines = [f"  {'':<{width}}  {'error':>9}  {'noise':>9}  {'ratio':>7}  {'held out':>8}"]
+    lines = [f"  {'':<{width}}  {'error':>9}  {'noise':>9}  {'ratio':>7}  {'held out: error':>15}  {'ratio':>7}"]
     for one in rows:
-        lines.append(
-            f"  {one.name:<{width}}  {one.error:>9.3g}  {one.noise:>9.3g}  {one.ratio:>7.3g}  {one.heldout_ratio:>8.3g}"
-        )
+        few = not math.isfinite(one.heldout_ratio)
+        held = f"{'too few':>15}  {'':>7}" if few else f"{one.heldout_error:>15.3g}  {one.heldout_ratio:>7.3g}"
+        fitted = f"{one.error:>9.3g}  {one.noise:>9.3g}  {one.ratio:>7.3g}"
+        lines.append(f"  {one.name:<{width}}  {fitted}  {held}  {one.unit}".rstrip())
     return lines
+
+
+def all_text(found: Comparison) -> str:
+    """The error of all rows together, as every other command says it, and where it is largest."""
+    errors = found.errors
+    return (
+        f"together: error {errors.error:.4g} times the noise, on held-out data {held_text(errors.heldout)}; "
+        f"most in {place_text(errors.worst)}"
+    )
+
+
+def place_text(one: Place) -> str:
+    """Where an error is largest, with what it is there."""
+    return f"{one.where}: {ratio_text(one)}" + ("" if math.isnan(one.heldout) else f", held out {one.heldout:.3g}")
+
+
+def ratio_text(one: Place) -> str:
+    """An error against its noise, and in SI."""
+    return f"{one.ratio:.3g}" + (f" ({one.size})" if one.size else "")
+
+
+def held_text(value: float | None) -> str:
+    """An error on held-out data."""
+    return "not judged (too few rows)" if value is None or math.isnan(value) else f"{value:.4g}"
 
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def worst_text(worst: Iterable[Condition]) -> list[str]:
-    """The worst conditions in words, those that noise hardly makes."""
-    rows = [f"  {one.in_words} ({one.ratio:.3g} times the noise)" for one in worst if one.stands_out]
+def worst_text(found: Comparison) -> list[str]:
+    """The worst conditions in words, those that noise hardly makes, and references that cannot be as stated."""
+    rows = [f"  {one.in_words} ({one.ratio:.3g} times the noise)" for one in found.worst if one.stands_out]
+    rows += [f"  {one.in_words}" for one in found.references]
     return ["worst:", *rows] if rows else ["nothing stands out of the noise"]
 
 
@@ -266,16 +299,16 @@ def diagnose(
     the answer is `unlisted`. The answer ends with what this data cannot see. The exit code is 0 whatever the answer.
 
     \f
-    `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`), `groups` as `rig compare` does, `untold`
-    (groups with all steps taken whose noise is known only from what the model leaves over: on these no `adequate`
-    stands), `findings` (as `rig import` gives them: samples that were left out, and what else looks wrong),
-    `candidates` best
-    first (`effect`, `on`, `class` with itself included, `probability`, `error_after`, `heldout_error_after`,
-    `parameters` by name with `value`, `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation`
-    and what is known of them `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in
-    which it was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted,
-    `why`), `description` and `cannot_see`.
-    Errors of a candidate are √(χ²/n): noise is 1.
+    `--json` gives `verdict` (`adequate`, `missing`, `unlisted`, `undecided`); `error`, `heldout_error` and `worst_at`
+    of the model as it is and `error_after`, `heldout_error_after`, `worst_after` and `references` with all steps taken,
+    which are those of `rig compare`, as `groups` are; `untold` (groups with all steps taken whose noise is known only
+    from what the model leaves over: on these no `adequate` stands), `findings` (as `rig import` gives them: samples
+    that were left out, and what else looks wrong), `candidates` best first (`effect`, `on`, `class` with itself
+    included, `probability`, `error_after`, `heldout_error_after`, `worst_after`, `parameters` by name with `value`,
+    `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation` and what is known of them
+    `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in which it was or could be
+    `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`), `description` and `cannot_see`. Errors of
+    a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
     from rig.repair.model_file import terms_of
@@ -294,8 +327,17 @@ def diagnose(
 
 def diagnosis_as_json(said: Conclusion, groups: Sequence[Any]) -> dict[str, Any]:
     """What `rig diagnose --json` prints."""
+    from rig.diagnose.misfit import finite, place_as_json
+
     return {
         "verdict": said.verdict,
+        "error": said.error,
+        "heldout_error": finite(said.heldout_error),
+        "error_after": said.after,
+        "heldout_error_after": finite(said.heldout_after),
+        "worst_at": place_as_json(said.worst),
+        "worst_after": place_as_json(said.worst_after),
+        "references": [one.as_json() for one in said.references],
         "groups": list(groups),
         "candidates": [one.as_json() for one in said.candidates],
         "excluded": [one.as_json() for one in said.excluded],
@@ -320,6 +362,7 @@ def diagnosis_text(said: Conclusion) -> list[str]:
         ]  # fmt: skip
     if said.description:
         lines += ["", *(f"  {piece}" for piece in said.description.replace(".; ", "; ").split("; "))]
+    lines += ["", *(f"  {one.in_words}" for one in said.references)] if said.references else []
     lines += ["", "this data cannot see:", *(f"  {one}" for one in said.cannot_see)] if said.cannot_see else []
     return [completed(line) for line in lines]
 
@@ -328,12 +371,12 @@ def verdict_text(said: Conclusion) -> str:
     """The verdict in one line."""
     errors = f"error {said.error:.4g} times the noise"
     names = " and ".join(one.effect for one in said.taken)
-    there = f"where it is worst ({said.worst_at}) {said.worst:.3g}"
+    there = f"where it is worst ({said.worst.where}) {ratio_text(said.worst)}"
     match said.verdict:
         case "adequate":
             return f"verdict: adequate - the model leaves nothing but noise ({errors})"
         case "missing":
-            after = f"with it {said.after:.4g}, there {said.worst_after:.3g}"
+            after = f"with it {said.after:.4g}, there {ratio_text(said.worst_after)}"
             return f"verdict: missing {names} - {errors}, {there}; {after}"
         case "unlisted":
             return f"verdict: unlisted effect - {errors}, {there}; with the best of the shelf {said.after:.4g}"
@@ -366,7 +409,10 @@ def candidate_text(one: Candidate, nearest: bool) -> list[str]:
         lines.append("     its size DEPENDS ON THE BAND: another comes out where twice the band is compared")
     size = "usual" if one.plausible else "NOT usual: look for another cause too"
     lines.append(f"     its size is {size}; U is expanded (k = 2)")
-    lines.append(f"     error with it {one.error_after:.4g}, on held-out data {one.heldout_error_after:.4g} (noise 1)")
+    held = held_text(one.heldout_error_after)
+    lines.append(f"     error with it {one.error_after:.4g}, on held-out data {held} (noise 1)")
+    if one.there.where:
+        lines.append(f"     where it was worst ({one.there.where}) it leaves {ratio_text(one.there)}")
     lines.append(f"     because {one.because}")
     if len(one.members) > 1:
         lines.append(f"     class: {', '.join(one.members)}")
@@ -533,21 +579,33 @@ def repaired_text(made: Repaired) -> list[str]:
 
 def _errors_text(made: Repaired) -> list[str]:
     """Errors before and after a step, over everything and where they were worst."""
-    from rig.fit.quality import error_at
-
     before, after = made.before, made.after
     if before is after:
-        return [f"  error {after.error:.4g} times the noise, on held-out data {_number(after.heldout)}"]
+        lines = [f"  error {after.error:.4g} times the noise, on held-out data {held_text(after.heldout)}"]
+        return [*lines, *_worst_now(after)]
     lines = [
         f"  error {before.error:.4g} -> {after.error:.4g} times the noise, "
-        f"on held-out data {_number(before.heldout)} -> {_number(after.heldout)}"
+        f"on held-out data {held_text(before.heldout)} -> {held_text(after.heldout)}"
     ]
-    place = before.worst_at if after.action != "remove" else after.worst_at
-    if place and before.worst is not None and after.action != "remove":
-        lines.append(f"  where it was worst ({place}): {before.worst:.3g} -> {error_at(made.fit, place):.3g}")
-    elif place:
-        lines.append(f"  where it is worst now ({place}): {_number(after.worst)}")
+    if after.action == "remove" or not before.worst_at:
+        return [*lines, *_worst_now(after)]
+    was, now = _worst_of(before), made.at(before.worst_at)
+    lines.append(f"  where it was worst ({was.where}): {ratio_text(was)} -> {ratio_text(now)}")
+    if math.isfinite(was.heldout) and math.isfinite(now.heldout):
+        lines.append(f"  there on held-out data: {was.heldout:.3g} -> {now.heldout:.3g}")
     return lines
+
+
+def _worst_now(step: Step) -> list[str]:
+    return [f"  where it is worst: {place_text(_worst_of(step))}"] if step.worst_at else []
+
+
+def _worst_of(step: Step) -> Place:
+    """Where a step of the history says that its error is largest."""
+    from rig.fit.quality import Place
+
+    values = [math.nan if one is None else one for one in (step.worst, step.worst_heldout, step.worst_error)]
+    return Place(step.worst_at, values[0], values[1], values[2], step.worst_unit)
 
 
 @click.command()
@@ -590,13 +648,16 @@ def _model_of(names: Sequence[str], runs: Path) -> Path:
 
 
 def history_text(steps: Sequence[Step]) -> list[str]:
-    """The ladder as a table; the noise floor is 1. `worst` is the error of the channel and domain furthest above it."""
+    """The ladder as a table; the noise floor is 1. `worst` is the error of the channel and domain furthest above it,
+    then that of the rows held out there.
+    """
     names = [" ".join(p for p in (s.action, s.effect, f"({s.on})" if s.on else None) if p) for s in steps]
     width = max((len(name) for name in names), default=0)
-    heads = ("error", "held out", "worst", "noise", "χ²/dof")
-    lines = [f"  {'':>2}  {'':<{width}}  {'  '.join(f'{head:>8}' for head in heads)}  runs"]
+    heads = ("error", "held out", "worst", "held out", "noise", "χ²/dof")
+    lines = [f"  {'':>2}  {'':<{width}}  {'  '.join(f'{head:>8}' for head in heads)}  runs  where it is worst"]
     for number, (step, name) in enumerate(zip(steps, names, strict=True), 1):
-        values = (step.error, step.heldout, step.worst, step.noise, step.chi2_dof)
-        table = "  ".join(f"{_number(value):>8}" for value in values)
-        lines.append(f"  {number:>2}  {name:<{width}}  {table}  {len(step.runs)}")
+        values = (step.error, step.heldout, step.worst, step.worst_heldout, step.noise, step.chi2_dof)
+        table, size = "  ".join(f"{_number(value):>8}" for value in values), _worst_of(step).size
+        worst = f"{step.worst_at}{f': {size}' if size else ''}"
+        lines.append(f"  {number:>2}  {name:<{width}}  {table}  {len(step.runs):>4}  {worst}".rstrip())
     return lines

@@ -8,7 +8,6 @@ its probability counts no more than the share that it explains, and never more t
 from __future__ import annotations
 
 import itertools
-import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -19,13 +18,13 @@ import numpy as np
 from rig.diagnose.bands import dependent
 from rig.diagnose.describe import Description, describe
 from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, Told, diagnose, unheard
-from rig.diagnose.misfit import Group, untold
+from rig.diagnose.misfit import Group, Pull, finite, place_as_json, pulls, untold
 from rig.diagnose.unseen import cannot_see
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import POLE_TOLERANCE, Fit
 from rig.fit.parameters import Estimate, Tied, covariance_of, estimates, independent, plausible, tied
-from rig.fit.quality import error_at, error_of, heldout_error, on_all_rows, worst_of
+from rig.fit.quality import Place, errors_from, errors_of, on_all_rows
 from rig.model import Effect, Quantity, Term
 from rig.motion import Array
 from rig.parts.part import Finding
@@ -41,8 +40,8 @@ EVENS = 0.5  # the highest probability of a candidate that leaves more than nois
 class Candidate:
     """One effect that the data allow. `taken` in step `step` (from 1), or a member of that step's class.
 
-    `error_after`, `heldout_error_after`: √(χ²/n) with it in the model, noise = 1. `members` of its class, itself
-    included.
+    `error_after`, `heldout_error_after`: √(χ²/n) with it in the model, noise = 1; `there` what it leaves where the
+    model as given is worst. `members` of its class, itself included.
     """
 
     effect: str
@@ -58,6 +57,7 @@ class Candidate:
     separate_by: str
     step: int
     taken: bool
+    there: Place
     tied: Tied | None = None  # parameters that are not known apart
     depends_on_band: bool = False  # whether its size changes when twice the band of a sampled reference is compared
 
@@ -69,7 +69,8 @@ class Candidate:
             "class": list(self.members),
             "probability": self.probability,
             "error_after": self.error_after,
-            "heldout_error_after": _finite(self.heldout_error_after),
+            "heldout_error_after": finite(self.heldout_error_after),
+            "worst_after": place_as_json(self.there),
             "parameters": {name: one.as_json() for name, one in self.parameters.items()},
             "not_known_apart": None if self.tied is None else self.tied.as_json(),
             "depends_on_band": self.depends_on_band,
@@ -83,7 +84,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Excluded:
-    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where.
+    """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where most.
 
     Without an error where it was not refitted, as it came nowhere near.
     """
@@ -103,9 +104,10 @@ class Conclusion:
     """The verdict, the candidates best first, what an unlisted effect looks like, and what cannot be seen.
 
     `error` and `heldout_error` are those of the model as given, `after` and `heldout_after` with all steps taken.
-    `worst_at` says where the model as given fails most: its error there, and what is left of that. `untold` are groups
-    of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` samples that were
-    left out, and what else looks wrong with the records; `judged` whether rows enough are held out to judge by.
+    `worst` says where the model as given fails most, `worst_after` what is left of that; `references` what of the
+    references would have to leave its stated uncertainty with all steps taken. `untold` are groups
+    of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` samples that
+    were left out, and what else looks wrong with the records; `judged` whether rows enough are held out to judge by.
     """
 
     verdict: str
@@ -116,14 +118,14 @@ class Conclusion:
     heldout_error: float
     after: float
     heldout_after: float
-    worst_at: str
-    worst: float
-    worst_after: float
+    worst: Place
+    worst_after: Place
     diagnosis: Diagnosis = field(repr=False)
     excluded: tuple[Excluded, ...] = ()
     untold: tuple[Group, ...] = ()
     faults: tuple[Finding, ...] = ()
     judged: bool = True
+    references: tuple[Pull, ...] = ()
 
     @property
     def taken(self) -> tuple[Candidate, ...]:
@@ -151,17 +153,17 @@ def conclude(
     first = (_own_sensitivity if shared else _output_filter)(evidence, found.diagnosis.base, found.diagnosis.final)
     rest = [replace(one, step=one.step + 1) for one in found.candidates]
     candidates = sorted([first, *rest], key=lambda one: (not one.taken, one.step))
-    at, worst = worst_of(base)
+    errors, final = errors_of(evidence, base), found.diagnosis.final
     return replace(
         found, verdict="unlisted" if found.verdict == "unlisted" else "missing", candidates=tuple(candidates),
-        error=error_of(base), heldout_error=heldout_error(evidence, base), worst_at=at, worst=worst,
-        worst_after=error_at(found.diagnosis.final, at),
+        error=errors.error, heldout_error=errors.heldout, worst=errors.worst,
+        worst_after=errors_of(evidence, final).at(final, errors.worst.where),
     )  # fmt: skip
 
 
 def _output_filter(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
     """The output filter of every channel, with the corners of the final fit that this data determines."""
-    u = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
+    errors, u = errors_of(evidence, base), np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     poles = {}
     for number, part in enumerate(final.parts):
         own, local = final.layout.own(part, number)[:, 1], final.state.local(part, number)
@@ -170,7 +172,7 @@ def _output_filter(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
                 poles[f"corner {name}"] = Estimate(float(pole), "Hz", float(pole * u[at]))
     return Candidate(
         effect=OUTPUT_FILTER, title="output filter of every channel", on=None, members=(OUTPUT_FILTER,),
-        probability=1.0, error_after=error_of(base), heldout_error_after=heldout_error(evidence, base),
+        probability=1.0, error_after=errors.error, heldout_error_after=errors.heldout, there=errors.worst,
         parameters=poles, plausible=True,
         because="gain falls and phase lags with frequency as one pole per channel, at the corner of its data sheet",
         separate_by="a sweep past the corner: one pole falls by 20 dB per decade", step=1, taken=True,
@@ -179,7 +181,7 @@ def _output_filter(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
 
 def _own_sensitivity(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
     """A sensitivity of its own for every channel, relative to that of its data sheet."""
-    u = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
+    errors, u = errors_of(evidence, base), np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     gains = {}
     for number, part in enumerate(final.parts):
         own = final.layout.own(part, number)[:, 0]
@@ -187,7 +189,7 @@ def _own_sensitivity(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
             gains[f"sensitivity {name}"] = Estimate(1.0 + final.state.gain[name], "1", float(u[at]))
     return Candidate(
         effect=OWN_SENSITIVITY, title="a sensitivity of its own for every channel", on=None, members=(OWN_SENSITIVITY,),
-        probability=1.0, error_after=error_of(base), heldout_error_after=heldout_error(evidence, base),
+        probability=1.0, error_after=errors.error, heldout_error_after=errors.heldout, there=errors.worst,
         parameters=gains, plausible=True,
         because="the error is in proportion to the input, with another factor in every channel",
         separate_by="the same input along each axis in turn", step=1, taken=True,
@@ -196,27 +198,28 @@ def _own_sensitivity(evidence: Evidence, base: Fit, final: Fit) -> Candidate:
 
 def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effect]) -> Conclusion:
     """Everything there is to say about a diagnosis."""
-    found = _by_band(list(_candidates(evidence, diagnosis)), dependent(evidence, diagnosis.final))
+    before, after = errors_of(evidence, diagnosis.base), errors_of(evidence, diagnosis.final)
+    candidates = list(_candidates(evidence, diagnosis, before.worst.where))
+    found = _by_band(candidates, dependent(evidence, diagnosis.final))
     # what was taken comes first, then what it could be instead
     found.sort(key=lambda one: (not one.taken, one.step, -one.probability))
-    at, worst = worst_of(diagnosis.base)
     return Conclusion(
-        worst_at=at,
-        worst=worst,
-        worst_after=error_at(diagnosis.final, at),
+        worst=before.worst,
+        worst_after=after.at(diagnosis.final, before.worst.where),
         verdict=diagnosis.verdict,
         candidates=tuple(found),
         description=description(evidence, diagnosis) if diagnosis.verdict == "unlisted" else "",
         cannot_see=cannot_see(evidence, diagnosis.scores, shelf, diagnosis.misplaced),
-        error=error_of(diagnosis.base),
-        heldout_error=heldout_error(evidence, diagnosis.base),
-        after=error_of(diagnosis.final),
-        heldout_after=heldout_error(evidence, diagnosis.final),
+        error=before.error,
+        heldout_error=before.heldout,
+        after=after.error,
+        heldout_after=after.heldout,
         diagnosis=diagnosis,
         excluded=tuple(_excluded(diagnosis)),
         untold=tuple(untold(diagnosis.final)),
         faults=tuple(dict.fromkeys(one for part in evidence.parts for one in part.faults)),
         judged=bool(diagnosis.held),
+        references=tuple(pulls(diagnosis.final)),
     )
 
 
@@ -226,19 +229,21 @@ def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
         for choice in step.ranked_below:
             fit = choice.whole or choice.fit
             if choice.full and fit is not None:
-                fit = on_all_rows(fit)
-                yield Excluded(number, choice.term.key, error_of(fit), _why(diagnosis, choice, fit))
+                yield _left(diagnosis, number, choice, on_all_rows(fit))
             else:
                 yield Excluded(number, choice.term.key, None, f"it came nowhere near what {step.taken.name} removes")
 
 
-def _why(diagnosis: Diagnosis, choice: Choice, fit: Fit) -> str:
+def _left(diagnosis: Diagnosis, number: int, choice: Choice, fit: Fit) -> Excluded:
     """Where an effect in the place of the one taken leaves most, and whether that excludes it."""
-    worst = adequacy.worst(fit)
-    where = "" if worst is None else f"{worst.ratio:.3g} times the noise in {worst.channel}, {worst.domain}"
+    errors = errors_from(fit, None)
+    worst, size = errors.worst, f" ({errors.worst.size})" if errors.worst.size else ""
+    where = f"{worst.ratio:.3g} times the noise in {worst.where}{size}" if worst.where else ""
     if not choice.possible:
-        return f"{where}; physics does not allow it"
-    return f"{where}; this data does not exclude it" if fit.objective < diagnosis.final.objective + CLASS else where
+        where = f"{where}; physics does not allow it"
+    elif fit.objective < diagnosis.final.objective + CLASS:
+        where = f"{where}; this data does not exclude it"
+    return Excluded(number, choice.term.key, errors.error, where)
 
 
 def _by_band(found: Sequence[Candidate], dependent: Set[tuple[str, Quantity | None]]) -> list[Candidate]:
@@ -251,27 +256,30 @@ def _by_band(found: Sequence[Candidate], dependent: Set[tuple[str, Quantity | No
     ]  # fmt: skip
 
 
-def _candidates(evidence: Evidence, diagnosis: Diagnosis) -> Iterator[Candidate]:
+def _candidates(evidence: Evidence, diagnosis: Diagnosis, where: str) -> Iterator[Candidate]:
     for number, step in enumerate(diagnosis.steps, 1):
         members = tuple(dict.fromkeys([step.taken.name, *(one.name for one in step.members)]))
         for choice in step.members:
-            yield _candidate(evidence, diagnosis, step, number, choice, members)
+            yield _candidate(evidence, diagnosis, step, number, choice, members, where)
 
 
 def _candidate(
-    evidence: Evidence, diagnosis: Diagnosis, step: Step, number: int, choice: Choice, members: tuple[str, ...]
-) -> Candidate:
+    evidence: Evidence, diagnosis: Diagnosis, step: Step, number: int, choice: Choice, members: tuple[str, ...],
+    where: str,
+) -> Candidate:  # fmt: skip
     is_taken = choice is step.taken
     fit = step.after if is_taken or choice.fit is None else choice.fit
     term, covariance = _where_it_stands(choice, choice.whole or fit)
+    errors = errors_of(evidence, fit)
     return Candidate(
         effect=choice.name,
         title=term.effect.title,
         on=term.on,
         members=members,
         probability=_probability(diagnosis, choice),
-        error_after=error_of(fit),
-        heldout_error_after=heldout_error(evidence, fit),
+        error_after=errors.error,
+        heldout_error_after=errors.heldout,
+        there=errors.at(fit, where),
         parameters=estimates(term, covariance),
         plausible=plausible(term),
         because=choice.because,
@@ -341,7 +349,3 @@ def nearest(diagnosis: Diagnosis) -> str:
 
 def _some(names: list[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more channels" if len(names) > most else "")
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

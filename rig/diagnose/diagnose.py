@@ -419,7 +419,7 @@ def _reordered(members: Sequence[Choice]) -> list[Choice]:
     if len(members) < 2 or members[0].term.effect.looks_in:
         return list(members)
     total, most = sum(one.probability for one in members), max(one.merit for one in members)
-    weights = [math.exp(0.5 * (one.merit - most)) for one in members]
+    weights = [math.exp(0.5 * (one.merit - most) / one.doubt) for one in members]
     shared = [
         replace(one, probability=total * weight / sum(weights)) for one, weight in zip(members, weights, strict=True)
     ]

@@ -4,32 +4,32 @@ The noise of a group is the rms of what its noise makes of the numbers compared,
 records at rest and from what lies between the lines, whatever the model, or it is said to be no more than what a model
 leaves over. The ratio is √(χ²/n), every row
 weighed by its own noise, and the error is the noise times that: the rms of what the model leaves over, on that scale.
-Held-out rows are judged by a model that was fitted without them.
+Held-out rows are judged by a model that was fitted without them. Errors are those of `rig.fit.quality`, as everywhere.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rig.diagnose.misfit_cells import Cell, Table, cell, cells, tables
+from rig.diagnose.misfit_cells import FEWEST, Cell, Table, cell, cells, tables
 from rig.diagnose.misfit_laws import Law, in_words, laws, strongest
-from rig.diagnose.whiteness import FEWEST, Whiteness, fisher_g, ljung_box, runs
+from rig.diagnose.whiteness import FEWEST as FEWEST_OF_SERIES
+from rig.diagnose.whiteness import Whiteness, fisher_g, ljung_box, runs
 from rig.fit import adequacy
-from rig.fit import fit as fitting
 from rig.fit.adequacy import RISK
 from rig.fit.evidence import Evidence
-from rig.fit.fit import Fit, State
+from rig.fit.fit import Fit
+from rig.fit.quality import Errors, Place, errors_from, errors_of, heldout_rows
 from rig.fit.tails import limit
 from rig.model import Term
 from rig.motion import Array
 from rig.parts.part import Finding, Origin
-from rig.parts.remainder import Mask
 
 CONDITIONS = 3
 SHARE = 0.3  # of the largest excess of χ²/n: a slice with less is not where the model fails
@@ -47,6 +47,7 @@ class Group:
     noise: float
     ratio: float
     heldout_ratio: float
+    heldout_error: float = math.nan
     unit: str = ""
     noise_from: tuple[Origin, ...] = ()
     to_know: str = ""
@@ -60,8 +61,9 @@ class Group:
         """SI; a ratio that no row determines is null."""
         return {
             "name": self.name, "channels": list(self.channels), "experiment": self.experiment,
-            "error": _number(self.error), "noise": _number(self.noise), "unit": self.unit, "ratio": _number(self.ratio),
-            "heldout_ratio": _number(self.heldout_ratio), "noise_from": list(self.noise_from),
+            "error": finite(self.error), "noise": finite(self.noise), "unit": self.unit, "ratio": finite(self.ratio),
+            "heldout_ratio": finite(self.heldout_ratio), "heldout_error": finite(self.heldout_error),
+            "noise_from": list(self.noise_from),
         }  # fmt: skip
 
 
@@ -88,18 +90,24 @@ class Condition:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A model against all that was measured of a unit."""
+    """A model against all that was measured of a unit: `errors` of all rows together and where they are largest,
+    `references` that would have to leave their stated uncertainty for this model.
+    """
 
     groups: tuple[Group, ...]
     worst: tuple[Condition, ...]
     whiteness: tuple[Whiteness, ...]
     fit: Fit = field(repr=False)
+    errors: Errors
+    references: tuple[Pull, ...] = ()
 
     def as_json(self, figures: Sequence[Path]) -> dict[str, Any]:
         """What `rig compare` prints."""
         worst = [{"where": one.where, "ratio": one.ratio, "in_words": one.in_words} for one in self.worst]
         return {
-            "groups": [one.as_json() for one in self.groups], "worst": worst,
+            "groups": [one.as_json() for one in self.groups], "error": self.errors.error,
+            "heldout_error": finite(self.errors.heldout), "worst_at": place_as_json(self.errors.worst), "worst": worst,
+            "references": [one.as_json() for one in self.references],
             "findings": [one.as_json() for one in self.faults], "figures": [str(p) for p in figures],
         }  # fmt: skip
 
@@ -109,24 +117,74 @@ class Comparison:
         return tuple(dict.fromkeys(one for part in self.fit.parts for one in part.faults))
 
 
+@dataclass(frozen=True)
+class Pull:
+    """Something of a reference that a fit moved so many stated standard uncertainties away from what is stated."""
+
+    effect: str
+    parameter: str
+    title: str
+    times: float
+
+    @property
+    def in_words(self) -> str:
+        """One sentence."""
+        return f"the {self.title} would have to be {self.times:.2g} times its stated uncertainty off"
+
+    def as_json(self) -> dict[str, Any]:
+        """As `rig compare --json` gives it."""
+        return {
+            "effect": self.effect, "parameter": self.parameter, "times": self.times, "in_words": self.in_words,
+        }  # fmt: skip
+
+
+def place_as_json(one: Place) -> dict[str, Any]:
+    """Where an error is largest: ratios to the noise, the error in SI."""
+    return {
+        "where": one.where, "ratio": finite(one.ratio), "heldout_ratio": finite(one.heldout),
+        "error": finite(one.error), "unit": one.unit,
+    }  # fmt: skip
+
+
 def compare(evidence: Evidence, terms: Sequence[Term] = (), poles: bool = True, shared: bool = False) -> Comparison:
     """Fit the data-sheet model with these effects to everything, and once more without held-out rows."""
-    start = evidence.start(terms, poles=poles, shared=shared)
-    whole = fitting.fit(evidence.parts, start)
-    training = fitting.fit(evidence.parts, start, use=evidence.training)
-    return comparison(whole, training.state, evidence.training)
+    return comparison(evidence, evidence.fitted(terms, poles=poles, shared=shared))
 
 
-def comparison(found: Fit, trained: State, training: Mask) -> Comparison:
-    """From a fit to everything and the state of one without held-out rows."""
+def comparison(evidence: Evidence, found: Fit) -> Comparison:
+    """From a fit to everything."""
+    return _compared(found, errors_of(evidence, found))
+
+
+def as_it_is(found: Fit) -> Comparison:
+    """From parameters that were not fitted: rows held out are like all others."""
+    out = heldout_rows(found)
+    predicted = replace(found, left=found.left * out, use=out, chi2=float(np.sum(found.left[out] ** 2)))
+    return _compared(found, errors_from(found, predicted if out.any() else None))
+
+
+def _compared(found: Fit, errors: Errors) -> Comparison:
     made = tables(found)
-    unseen = fitting.residual(found.parts, trained)
+    unseen = np.full(len(found.left), np.nan)
+    if (predicted := errors.predicted) is not None and predicted.use is not None:
+        unseen = np.where(predicted.use, predicted.left, np.nan)
     return Comparison(
-        tuple(groups(found, made, np.where(training, np.nan, unseen))),
-        tuple(conditions(found, made)),
-        tuple(_whiteness(made)),
-        found,
-    )
+        tuple(groups(found, made, unseen)), tuple(conditions(found, made)), tuple(_whiteness(made)), found, errors,
+        tuple(pulls(found)),
+    )  # fmt: skip
+
+
+def pulls(found: Fit) -> Iterator[Pull]:
+    """What is stated of references and cannot be, the farthest first."""
+    standing = {(one.channel, one.domain) for one in adequacy.standing(adequacy.groups(found)) if one.count == 1}
+    made = []
+    for term in found.state.terms:
+        for name, sigma in term.prior.items():
+            if (term.effect.name, adequacy.stated(name)) in standing:
+                several = f", {name}," if len(term.prior) > 1 else ""
+                title = f"{term.effect.title}{several}"
+                made.append(Pull(term.effect.name, name, title, abs(term.at[name]) / sigma))
+    yield from sorted(made, key=lambda one: -one.times)
 
 
 # groups
@@ -158,10 +216,12 @@ def groups(found: Fit, made: Sequence[Table], unseen: Array) -> Iterator[Group]:
     for (experiment, title), rows in sums.items():
         square, number, chi2, count, held_chi2, held_count, error = np.sum(rows, axis=0).tolist()
         noise, ratio = _root(square, number), _root(chi2, count)
+        unseen_ratio = _root(held_chi2, held_count) if held_count >= FEWEST else math.nan
         yield Group(
             f"{experiment}, {title}", tuple(names[experiment, title]), experiment,
-            noise * ratio if math.isnan(error) else _root(error, number), noise, ratio, _root(held_chi2, held_count),
-            units[experiment, title], tuple(origins[experiment, title]), advice[experiment, title],
+            noise * ratio if math.isnan(error) else _root(error, number), noise, ratio, unseen_ratio,
+            noise * unseen_ratio, units[experiment, title], tuple(origins[experiment, title]),
+            advice[experiment, title],
         )  # fmt: skip
 
 
@@ -182,7 +242,8 @@ def _root(total: float, count: float) -> float:
     return math.sqrt(total / count) if count > 0.0 else math.nan
 
 
-def _number(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """A number that JSON has, null for what has no value."""
     return value if math.isfinite(value) else None
 
 
@@ -292,7 +353,7 @@ def _whiteness(made: Sequence[Table]) -> Iterator[Whiteness]:
     """Tests of what each part says has no order in noise."""
     for table in made:
         for one in table.part.series(table.rest):
-            if len(one.values) < FEWEST:
+            if len(one.values) < FEWEST_OF_SERIES:
                 continue
             if one.powers:
                 yield fisher_g(one.values, one.where)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.diagnose.misfit import Comparison, comparison
+from rig.diagnose.misfit import Comparison, as_it_is
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit, State
@@ -75,8 +75,7 @@ def predict(
     as_is = _adjusted(evidence, state, zeros)
     gains = np.array(sorted({order.gains[n] for n in order.channels}))
     levelled = _adjusted(evidence, as_is.state, np.concatenate([zeros, gains]))
-    made = [comparison(one, one.state, evidence.training) for one in (as_is, levelled)]
-    return Prediction(made[0], made[1], tuple(_levels(as_is, levelled)))
+    return Prediction(as_it_is(as_is), as_it_is(levelled), tuple(_levels(as_is, levelled)))
 
 
 def _held(

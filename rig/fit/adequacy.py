@@ -117,7 +117,12 @@ def _pulls(found: Fit) -> Iterator[Group]:
     for term in found.state.terms:
         for name, sigma in term.prior.items():
             pull = (term.at[name] / sigma) ** 2
-            yield Group("references", term.effect.places[0], term.effect.name, f"stated {name}", pull, 1)
+            yield Group("references", term.effect.places[0], term.effect.name, stated(name), pull, 1)
+
+
+def stated(name: str) -> str:
+    """Domain of what is stated of a reference's parameter."""
+    return f"stated {name}"
 
 
 def worst(found: Fit) -> Group | None:

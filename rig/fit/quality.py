@@ -1,20 +1,79 @@
 """How well a fitted model does: its error against the noise, on what was fitted and on what was held out.
 
-An error of one is noise and nothing else. Held-out rows (every third point or stretch) are predicted by a fit that has
-not seen them, so an effect that only follows chance does not lower their error.
+The one definition of an error: √(χ²/n) of some rows, every row weighed by its own noise, so that one is noise and
+nothing else; in SI that times the rms of the noise of the rows. Held-out rows (every third point or stretch) are
+predicted by a fit that has not seen them, so an effect that only follows chance does not lower their error.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.fit import adequacy
 from rig.fit import fit as fitting
+from rig.fit.adequacy import FEWEST_HELD, Group
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
+from rig.parts.remainder import Mask
+
+
+@dataclass(frozen=True)
+class Place:
+    """One channel in one kind of its rows, `where` in words: error ÷ noise there, over all rows and over those held
+    out (NaN without any), and the error in `unit`, SI.
+    """
+
+    where: str
+    ratio: float
+    heldout: float = math.nan
+    error: float = math.nan
+    unit: str = ""
+
+    @property
+    def size(self) -> str:
+        """The error with its unit, "" where it has none."""
+        return f"{self.error:.3g} {self.unit}" if math.isfinite(self.error) else ""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of a model against everything: error ÷ noise over all rows, over those held out (NaN if too few are), and the
+    place where it is furthest above its noise. `predicted` are the rows held out, as a fit without them says them.
+    """
+
+    error: float
+    heldout: float
+    worst: Place
+    predicted: Fit | None = field(default=None, repr=False)
+
+    def at(self, found: Fit, where: str) -> Place:
+        """Another place of the same fit."""
+        return _place(found, where, self.predicted)
+
+
+def errors_of(evidence: Evidence, found: Fit) -> Errors:
+    """The errors of a model that was fitted to all rows."""
+    return errors_from(found, predicted_of(evidence, found))
+
+
+def errors_from(found: Fit, predicted: Fit | None) -> Errors:
+    """The same from the rows held out as they are predicted."""
+    heldout = error_of(predicted) if predicted is not None and predicted.count >= FEWEST_HELD else math.nan
+    return Errors(error_of(found), heldout, _place(found, worst_of(found)[0], predicted), predicted)
+
+
+def predicted_of(evidence: Evidence, found: Fit) -> Fit | None:
+    """The rows held out as the same model says them, fitted without them; None if none is."""
+    out = heldout_rows(found)
+    if not out.any():
+        return None
+    trained = fitting.fit(found.parts, found.state, use=evidence.training)
+    left = fitting.residual(found.parts, trained.state, out)
+    return replace(trained, left=left, use=out, chi2=fitting.squares(left))
 
 
 def error_of(found: Fit) -> float:
@@ -34,32 +93,52 @@ def chi2_dof(found: Fit) -> float:
     return found.objective / max(freedom, 1)
 
 
-def heldout_error(evidence: Evidence, found: Fit) -> float:
-    """√(χ²/n) of the held-out rows, predicted by the same model fitted without them; NaN if nothing is held out."""
-    out = heldout_rows(found)
-    if not out.any():
-        return math.nan
-    trained = fitting.fit(found.parts, found.state, use=evidence.training)
-    left = fitting.residual(found.parts, trained.state)[out]
-    return math.sqrt(float(left @ left) / len(left))
-
-
 def worst_of(found: Fit) -> tuple[str, float]:
     """Where the error is furthest above the noise, and its size there: one channel in one domain of its rows.
 
     An effect that lives in a few rows hardly shows in the error of all. ("", NaN) if there is no group.
     """
     one = adequacy.worst(found)
-    return ("", math.nan) if one is None else (f"{one.channel}, {one.domain}", one.ratio)
+    return ("", math.nan) if one is None else (_words(one), one.ratio)
 
 
 def error_at(found: Fit, where: str) -> float:
     """√(χ²/n) of the rows that `worst_of` named; NaN if the fit has none of that name."""
-    here = [one for one in adequacy.groups(found) if f"{one.channel}, {one.domain}" == where]
+    here = [one for one in adequacy.groups(found) if _words(one) == where]
     count = sum(one.count for one in here)
     return math.sqrt(sum(one.chi2 for one in here) / count) if count else math.nan
 
 
-def heldout_rows(found: Fit) -> NDArray[np.bool_]:
+def _words(one: Group) -> str:
+    return f"{one.channel}, {one.domain}"
+
+
+def _place(found: Fit, where: str, predicted: Fit | None) -> Place:
+    ratio = error_at(found, where)
+    noise, unit = _noise_at(found, where)
+    heldout = math.nan if predicted is None else error_at(predicted, where)
+    return Place(where, ratio, heldout, noise * ratio, unit)
+
+
+def _noise_at(found: Fit, where: str) -> tuple[float, str]:
+    """Rms of the noise of the rows of a place, SI, and their unit; (NaN, "") of what is no row of a part."""
+    sums = [one for number in range(len(found.parts)) for one in _sums(found, number, where)]
+    total = sum(count for _, count, _ in sums)
+    return (math.sqrt(sum(square for square, _, _ in sums) / total), sums[0][2]) if total else (math.nan, "")
+
+
+def _sums(found: Fit, number: int, where: str) -> Iterator[tuple[float, int, str]]:
+    """Sum of variances of a place in a part, SI², over how many rows, and their unit."""
+    part, noise = found.parts[number], None
+    used = found.rest(number).used.reshape(len(part.row_names), -1)
+    for row, name in enumerate(part.row_names):
+        for domain, mask in part.domains().items():
+            if f"{name}, {domain}" == where:
+                noise = part.noise() if noise is None else noise
+                here = mask & used[row]
+                yield float(np.sum(noise[row][here])), int(np.count_nonzero(here)), part.unit(name)
+
+
+def heldout_rows(found: Fit) -> Mask:
     """Rows with an observation that a model is judged by, (rows,)."""
     return np.concatenate([part.held_out & part.counted for part in found.parts])

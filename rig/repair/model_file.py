@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from rig.fit.evidence import Evidence
     from rig.fit.fit import Fit
     from rig.fit.parameters import Estimate
+    from rig.fit.quality import Errors
 
 Start = Literal["datasheet", "paper", "shared"]
 Action = Literal["start", "add", "remove", "fit"]
@@ -121,7 +122,8 @@ class Step(Strict):
     """One step of the history.
 
     `error` is √(χ²/n) of all rows against their noise; `heldout` that of rows which a fit without them predicts (left
-    out where nothing is held out); `worst` that at `worst_at`, the channel and domain where it stands out most.
+    out where too few are held out); `worst` that at `worst_at`, the channel and domain where it stands out most,
+    `worst_heldout` of the rows held out there, and `worst_error` the same in `worst_unit`, SI.
     `chi2_dof`: χ² per degree of freedom, priors included. `when`: bench time of the newest record, s since 1970 UTC.
     """
 
@@ -135,6 +137,9 @@ class Step(Strict):
     noise: float = 1.0
     worst: float | None = None
     worst_at: str = ""
+    worst_heldout: float | None = None
+    worst_error: float | None = None
+    worst_unit: str = ""
     when: float
 
 
@@ -338,23 +343,26 @@ def _contradictions(document: Document, at: KeyPath, entry: Entry, effect: Effec
 # from a fit
 def with_fit(
     model: Model, evidence: Evidence, fit: Fit, *, action: Action, when: float, effect: str | None = None,
-    on: Quantity | None = None, known: Mapping[str, Mapping[str, float]] | None = None,
+    on: Quantity | None = None, known: Mapping[str, Mapping[str, float]] | None = None, errors: Errors | None = None,
 ) -> Model:  # fmt: skip
     """The model with the values of a fit, and one more step of history.
 
-    `when` is the newest bench time of the runs, s. Formulas of the model's entries are kept. `known` gives standard
-    uncertainties of coordinates by effect, for effects that a test of their own determined and no fit moves.
+    `when` is the newest bench time of the runs, s; `errors` of the fit, where they are known already. Formulas of the
+    model's entries are kept. `known` gives standard uncertainties of coordinates by effect, for effects that a test of
+    their own determined and no fit moves.
     """
-    from rig.fit.quality import chi2_dof, error_of, heldout_error, worst_of
+    from rig.fit.quality import chi2_dof, errors_of
 
     formulas = {entry.effect: entry for entry in model.effects if entry.formula is not None}
     known = known or {}
     filters = [entry for entry in model.effects if entry.effect in OF_CHANNELS]
     numbers = [n for n, term in enumerate(fit.state.terms) if not term.prior]
-    heldout, (worst_at, worst) = heldout_error(evidence, fit), worst_of(fit)
+    errors = errors or errors_of(evidence, fit)
+    worst = errors.worst
     step = Step(
         action=action, effect=effect, on=on, runs=evidence.runs, chi2_dof=_short(chi2_dof(fit)),
-        error=_short(error_of(fit)), heldout=_finite(heldout), worst=_finite(worst), worst_at=worst_at,
+        error=_short(errors.error), heldout=_finite(errors.heldout), worst=_finite(worst.ratio), worst_at=worst.where,
+        worst_heldout=_finite(worst.heldout), worst_error=_finite(worst.error), worst_unit=worst.unit,
         when=round(when, 3),
     )  # fmt: skip
     return model.model_copy(

@@ -20,7 +20,7 @@ from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit
 from rig.fit.floor import with_floor
 from rig.fit.parameters import covariance_of, tied
-from rig.fit.quality import error_of
+from rig.fit.quality import Errors, Place, error_at, error_of, errors_of
 from rig.formula import OwnTerm
 from rig.model import BOTH, Effect, Quantity, Term
 from rig.parts.ripple import Floor
@@ -40,13 +40,20 @@ class Bench:
 
 @dataclass(frozen=True)
 class Repaired:
-    """A model after a step, the fit, and what is to be said of the step. `before` and `after` are lines of history."""
+    """A model after a step, the fit, and what is to be said of the step. `before` and `after` are lines of history;
+    `errors` those of the fit.
+    """
 
     model: Model
     fit: Fit
     before: Step
     after: Step
     remarks: tuple[str, ...] = ()
+    errors: Errors | None = None
+
+    def at(self, where: str) -> Place:
+        """What is left now at a place, over all rows and on those held out."""
+        return Place(where, error_at(self.fit, where)) if self.errors is None else self.errors.at(self.fit, where)
 
 
 def bench_of(records: Sequence[Recorded], shelf: Mapping[str, Effect], floor: Floor | None = None) -> Bench:
@@ -83,11 +90,20 @@ def fit_of(bench: Bench, model: Model) -> Fit:
 
 def fitted(bench: Bench, model: Model) -> Repaired:
     """The model refitted to the runs: its first step, or one more."""
-    found = fit_of(bench, model)
     action: Action = "fit" if model.history else "start"
-    made = with_fit(model, bench.evidence, found, action=action, when=bench.when, known=_known(bench, model))
-    before = model.history[-1] if model.history else made.history[-1]
-    return Repaired(made, found, before, made.history[-1], tuple(_not_apart(found)))
+    made = _after(bench, model, fit_of(bench, model), action)
+    return replace(made, before=model.history[-1]) if model.history else made
+
+
+def _after(
+    bench: Bench, model: Model, found: Fit, action: Action, effect: str | None = None, on: Quantity | None = None,
+    known: Mapping[str, Mapping[str, float]] | None = None,
+) -> Repaired:  # fmt: skip
+    """A model after a step that this fit made, by itself: its line of history is before and after."""
+    errors = errors_of(bench.evidence, found)
+    made = with_fit(model, bench.evidence, found, action=action, effect=effect, on=on, when=bench.when,
+                    known=_known(bench, model) if known is None else known, errors=errors)  # fmt: skip
+    return Repaired(made, found, made.history[-1], made.history[-1], tuple(_not_apart(found)), errors)
 
 
 def _not_apart(found: Fit) -> Iterator[str]:
@@ -119,9 +135,8 @@ def added(
     else:
         model_with = base.model
     everything = {**_known(bench, base.model), **({name: known} if known else {})}
-    made = with_fit(model_with, bench.evidence, after, action="add", effect=name, on=term.on, when=bench.when,
-                    known=everything)  # fmt: skip
-    return Repaired(made, after, base.after, made.history[-1], (*remarks, *_not_apart(after)))
+    made = _after(bench, model_with, after, "add", name, term.on, everything)
+    return replace(made, before=base.after, remarks=(*remarks, *made.remarks))
 
 
 def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
@@ -130,10 +145,7 @@ def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
     if not lacks:
         raise BadInput(f"add: found {name} in the model already, wanted another effect")
     more = base.model.model_copy(update={"effects": (Entry(effect=name), *base.model.effects)})
-    found = fit_of(bench, more)
-    made = with_fit(more, bench.evidence, found, action="add", effect=name, when=bench.when,
-                    known=_known(bench, more))  # fmt: skip
-    return Repaired(made, found, base.after, made.history[-1])
+    return replace(_after(bench, more, fit_of(bench, more), "add", name), before=base.after)
 
 
 def removed(bench: Bench, model: Model, name: str, on: Quantity | None = None) -> Repaired:
@@ -145,10 +157,7 @@ def removed(bench: Bench, model: Model, name: str, on: Quantity | None = None) -
     base = _on_these_runs(bench, model)
     kept = [entry for entry in base.model.effects if entry.effect != name or on not in (None, entry.on)]
     smaller = base.model.model_copy(update={"effects": tuple(kept)})
-    found = fit_of(bench, smaller)
-    made = with_fit(smaller, bench.evidence, found, action="remove", effect=name, on=on, when=bench.when,
-                    known=_known(bench, smaller))  # fmt: skip
-    return Repaired(made, found, base.after, made.history[-1])
+    return replace(_after(bench, smaller, fit_of(bench, smaller), "remove", name, on), before=base.after)
 
 
 def _on_these_runs(bench: Bench, model: Model) -> Repaired:

@@ -62,8 +62,8 @@ def test_a_clean_unit_needs_nothing_and_still_the_limits_are_told() -> None:
 def test_naming_the_missing_effect_brings_the_worst_error_down_to_the_noise() -> None:
     said = conclude(sweep(True).evidence, [], shelf())
     assert said.taken[0].effect == "cubic"
-    assert said.worst > 3.0
-    assert said.worst_after < 1.5
+    assert said.worst.ratio > 3.0
+    assert said.worst_after.ratio < 1.5
 
 
 def test_of_two_effects_the_first_has_the_size_that_it_has_beside_the_second() -> None:

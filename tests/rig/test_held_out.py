@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import fast_bench
 import imported_worlds as worlds
 import numpy as np
 import pytest
 from imported_worlds import Sensor, response, response_table
+from numpy.typing import NDArray
 
 from rig.cli.repair import verdict_text
 from rig.diagnose.conclusion import concluded
 from rig.diagnose.diagnose import diagnose
 from rig.fit import adequacy
 from rig.fit import fit as fitting
-from rig.fit.evidence import Evidence
+from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.tails import deviate, limit, log_tail
+from rig.parts.part import Part
+from rig.parts.platter import Platter
 from rig.parts.response import ResponseTable
+from rig.parts.sweep import Sweep
 from rig.shelf import shelf
+from rig.signals.blocks import spread
 
 LATE = Sensor(gain=1.01, delay=2e-3)
 
@@ -36,6 +43,78 @@ def changed(evidence: Evidence, factor: float) -> Evidence:
         ratio = np.where(part.data.held, factor, 1.0) * part.data.ratio
         parts.append(ResponseTable(replace(part.data, ratio=ratio)))
     return replace(evidence, parts=tuple(parts))
+
+
+def measured(document: Mapping[str, object]) -> Part:
+    (part,) = evidence_of([fast_bench.measure(dict(document), fast_bench.world(3, []))]).parts
+    return part
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Sweep:
+    part = measured({"procedure": "frequency_sweep", "axis": "x", "points": 8})
+    assert isinstance(part, Sweep)
+    return part
+
+
+@pytest.fixture(scope="module")
+def turntable() -> Platter:
+    part = measured({"procedure": "turntable", "revolutions": 10, "rest": "30 s"})
+    assert isinstance(part, Platter)
+    return part
+
+
+def shares(states: Sequence[object], held: NDArray[np.bool_]) -> dict[object, tuple[int, float]]:
+    """How many blocks each state has, and what share of them is held out."""
+    found: dict[object, list[bool]] = {}
+    for state, out in zip(states, held.tolist(), strict=True):
+        found.setdefault(state, []).append(out)
+    return {state: (len(marks), sum(marks) / len(marks)) for state, marks in found.items()}
+
+
+def test_every_third_block_of_every_state_is_held_out_and_none_that_is_alone() -> None:
+    states = ["rest"] * 6 + ["ramp"] + ["fast"] * 5 + ["slow"] * 7 + ["rest"] * 3
+    held = spread(states)
+    found = shares(states, held)
+    assert found["ramp"] == (1, 0.0)
+    assert all(0.2 <= share <= 0.5 for state, (_, share) in found.items() if state != "ramp")
+    assert int(held.sum()) == 21 // 3
+    assert int(spread(states, 0.4).sum()) == math.floor(0.4 * 21)
+    assert not spread(["a", "b", "c"]).any()
+
+
+def test_a_sweep_holds_out_of_every_level_and_of_rest_early_and_late(sweep: Sweep) -> None:
+    data = sweep.data
+    held = sweep.held_out.reshape(len(data.channels.names), len(data.index), -1)[0, :, 0]
+    states = [(level, bool(driven)) for level, driven in zip(data.level, data.driven, strict=True)]
+    found = shares(states, held)
+    assert len(found) == 3
+    assert all(count > 2 and 0.2 < share < 0.45 for count, share in found.values())
+    assert all(piece.any() for piece in np.array_split(held, 3))
+
+
+def test_a_turntable_run_holds_out_of_rest_of_every_speed_and_of_what_lies_between(turntable: Platter) -> None:
+    states = turntable.of.states
+    held = turntable.held_out[: len(states)]  # the means of the stretches come first
+    found = shares(states, held)
+    assert {what for what, _ in found} >= {"rest", "ramp", "45"}
+    assert all(0.15 < share < 0.6 for count, share in found.values() if count > 2)
+
+
+@pytest.mark.parametrize("kind", ["sweep", "turntable"])
+def test_nothing_that_is_held_out_is_in_a_row_that_is_fitted(kind: str, request: pytest.FixtureRequest) -> None:
+    """Means that wander together are made independent with those held out last."""
+    part = request.getfixturevalue(kind)
+    shifted = part.data.observed.copy()
+    if kind == "sweep":
+        held = part.held_out.reshape(len(part.channels.names), len(part.data.index), -1)[0, :, 0]
+        shifted[:, held] += 1e-3
+    else:
+        for (begin, end), out in zip(part.data.stretches, part.held_out[: len(part.data.stretches)], strict=True):
+            shifted[:, begin:end] += 1e-3 * out
+    change = part.target - type(part)(replace(part.data, observed=shifted)).target
+    assert np.abs(change[part.held_out & part.counted]).max() > 1.0
+    assert np.abs(change[~part.held_out]).max() < 1e-6
 
 
 def test_tails_have_the_published_points_of_f_and_of_chi_squared() -> None:

@@ -12,6 +12,7 @@ import fast_bench
 import numpy as np
 import pytest
 
+from rig.cli.repair import worst_text
 from rig.diagnose.misfit import Comparison, compare
 from rig.diagnose.misfit_cells import cells, tables
 from rig.diagnose.whiteness import fisher_g, ljung_box, runs
@@ -103,6 +104,17 @@ def test_an_eccentric_encoder_is_seen_once_per_revolution() -> None:
     assert "yaw" in first.in_words
 
 
+def test_a_reference_that_would_have_to_leave_its_stated_uncertainty_is_a_misfit_in_those_words() -> None:
+    found = _compared(_evidence("sweep", 1, "ldv_delay", time=5e-5))
+    (pull,) = found.references
+    assert pull.effect == "ldv_delay"
+    assert 10.0 < pull.times < 60.0
+    words = f"the delay of the vibrometer's decoder would have to be {pull.times:.2g} times its stated uncertainty off"
+    assert f"  {words}" in worst_text(found)
+    assert found.as_json([])["references"][0]["in_words"] == words
+    assert _compared(_evidence("sweep", 1)).references == ()
+
+
 def test_the_paper_s_model_without_filters_fails_in_magnitude_and_in_phase_that_grows_as_f() -> None:
     found = compare(_evidence("sweep", 1), poles=False)
     words = {one.component: one.in_words for one in found.worst}
@@ -129,9 +141,10 @@ def test_json_has_the_keys_that_are_promised_and_only_finite_numbers() -> None:
     made = _compared(_lag()).as_json([Path("a.svg")])
     text = json.dumps(made, allow_nan=False)
     assert json.loads(text)["figures"] == ["a.svg"]
-    assert set(made) == {"groups", "worst", "figures"}
+    assert set(made) == {"groups", "error", "heldout_error", "worst_at", "worst", "references", "findings", "figures"}
     assert set(made["groups"][0]) == {
-        "name", "channels", "experiment", "error", "noise", "unit", "ratio", "heldout_ratio", "noise_from",
+        "name", "channels", "experiment", "error", "noise", "unit", "ratio", "heldout_ratio", "heldout_error",
+        "noise_from",
     }  # fmt: skip
     assert set(made["worst"][0]) == {"where", "ratio", "in_words"}
 

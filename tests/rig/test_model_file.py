@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from rig.archive.records import Recorded
+from rig.diagnose.conclusion import conclude
+from rig.diagnose.misfit import compare
 from rig.errors import BadInput, ConfigError
 from rig.fit.parameters import estimates
 from rig.formula import own_term
@@ -70,6 +72,36 @@ def test_adding_the_missing_effect_brings_the_error_down_to_the_noise_on_held_ou
     assert add.error == pytest.approx(1.0, abs=0.1)
     assert add.heldout == pytest.approx(1.0, abs=0.15)
     assert add.noise == 1.0
+
+
+def test_compare_diagnose_and_history_say_one_error_to_the_printed_digit() -> None:
+    start, add = repaired().model.history
+    before = compare(bench().evidence)
+    after = compare(bench().evidence, terms_of(repaired().model, shelf()))
+    said = conclude(bench().evidence, [], shelf())
+    for step, found in ((start, before.errors), (add, after.errors)):
+        assert f"{step.error:.4g}, {step.heldout:.4g}" == f"{found.error:.4g}, {found.heldout:.4g}"
+        assert (step.worst_at, f"{step.worst:.3g}") == (found.worst.where, f"{found.worst.ratio:.3g}")
+        assert f"{step.worst_heldout:.3g}" == f"{found.worst.heldout:.3g}"
+        assert f"{step.worst_error:.3g} {step.worst_unit}" == found.worst.size
+    assert said.taken[0].effect == "cubic"
+    assert f"{said.error:.4g}, {said.after:.4g}" == f"{start.error:.4g}, {add.error:.4g}"
+    assert f"{said.taken[0].error_after:.4g}" == f"{add.error:.4g}"
+    assert f"{said.heldout_error:.4g}, {said.heldout_after:.4g}" == f"{start.heldout:.4g}, {add.heldout:.4g}"
+    assert said.worst.size == before.errors.worst.size
+    assert repaired().at(start.worst_at).ratio == pytest.approx(said.worst_after.ratio, rel=1e-3)
+    assert said.worst_after.heldout < 1.5 < said.worst.heldout
+
+
+def test_the_error_where_it_is_worst_is_its_ratio_times_the_noise_of_those_rows() -> None:
+    start, _ = repaired().model.history
+    (part,) = bench().evidence.parts
+    name, _, domain = start.worst_at.partition(", ")
+    row, mask = part.row_names.index(name), part.domains()[domain]
+    noise = np.sqrt(np.mean(part.noise()[row][mask & part.counted.reshape(len(part.row_names), -1)[row]]))
+    assert start.worst is not None
+    assert start.worst_error == pytest.approx(start.worst * noise, rel=1e-6)
+    assert start.worst_unit == "m/s²"
 
 
 def test_the_true_parameter_is_within_its_expanded_uncertainty() -> None:

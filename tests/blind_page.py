@@ -43,6 +43,13 @@ asked for before the study was made. A world whose diagnosis ended with an error
 - Times are those of one core, which other work may have shared.
 """
 
+RELIABILITY = """\
+Every effect that a diagnosis says is possible comes with a probability, and here stands how often such statements were
+right: all that said nearly the same are counted together. *Honest*: the mean of what was stated lies within the 95 %
+interval (Clopper and Pearson) of how often it was true. Where the hidden effect is on no shelf, and where nothing is
+hidden, every name is wrong.
+"""
+
 NEXT = """\
 A world that was not named exactly is measured and diagnosed anew; then the measurement that `rig next` ranks first is
 carried out in the same world, and all runs are diagnosed together. *Power* is the χ² between the two effects in
@@ -96,6 +103,10 @@ def page(study: Study) -> str:
     if effects:
         said = "In how many worlds each effect was named exactly, and what was said when it was not.\n"
         parts += _section("By effect", said, [("bench", "effect", "exact", "in the class", "instead"), *effects])
+    stated = [one.row() for one in blind_scores.reliability(study.found)]
+    if stated:
+        head = ("hidden", "stated", "mean", "right", "honest")
+        parts += _section("What stated probabilities are worth", RELIABILITY, [head, *stated])
     if study.again:
         parts += _section("After one more measurement", NEXT, blind_next.listed(study.again))
     if study.wire:

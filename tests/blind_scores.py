@@ -22,6 +22,15 @@ from blind_worlds import Answer, unsealed
 BINS = (6.0, 10.0, 30.0, 100.0, 600.0)
 LARGEST_CLASS = 3
 SURE = 0.9
+OWN = ("shaker", "turntable")  # benches; whatever else a world is of was imported
+STATED = (0.0, 0.25, 0.5, 0.75, 0.9, 0.99, 1.0)  # probabilities that are counted together
+EVENS = 0.5
+POPULATIONS: Mapping[str, tuple[str, ...]] = {
+    "one effect of the shelf": ("one", "others"),
+    "two effects": ("two",),
+    "an effect of no shelf": ("strangers", "unshelved"),
+    "nothing hidden": ("clean", "ripple"),
+}
 CONFIDENCE = 0.95
 
 
@@ -68,6 +77,22 @@ class Trial:
         return kept is None or kept["chi2"] - kept["true"] > kept["sigma"]
 
     @property
+    def stated(self) -> list[tuple[str, float]]:
+        """Every effect that was said to be possible, with the probability that was said of it."""
+        found = []
+        for step in self.result["steps"]:
+            taken = step["probability"]
+            if self.result["verdict"] == "unlisted":  # as the program says it
+                taken = min(EVENS, taken * min(max(self.result.get("explained", 0.0), 0.0), 1.0))
+            found += [(str(name), float(value)) for name, value in step.get("stated", [[step["name"], taken]])]
+        return found
+
+    @property
+    def imported(self) -> bool:
+        """Whether somebody else's records were diagnosed."""
+        return self.answer.bench not in OWN
+
+    @property
     def sure(self) -> bool:
         """Some name has a probability of at least 0.9."""
         return any(step["probability"] >= SURE for step in self.result["steps"])
@@ -83,13 +108,19 @@ class Row:
     worlds: int
 
 
+def limits(good: int, of: int) -> tuple[float, float]:
+    """Clopper and Pearson's interval of a share."""
+    from scipy.stats import binomtest
+
+    low, high = binomtest(good, of).proportion_ci(CONFIDENCE, "exact")
+    return float(low), float(high)
+
+
 def share(good: int, of: int) -> str:
     """A share with its interval in percent."""
     if not of:
         return "no worlds"
-    from scipy.stats import binomtest
-
-    low, high = binomtest(good, of).proportion_ci(CONFIDENCE, "exact")
+    low, high = limits(good, of)
     return f"{good}/{of} = {100 * good / of:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
 
 
@@ -115,7 +146,7 @@ def rows(found: Sequence[Trial]) -> list[Row]:
         "strangers": _strangers,
     }  # fmt: skip
     made = [row for table, maker in makers.items() if of[table] for row in maker(of[table])]
-    return [*made, *_times(found)]
+    return [*made, *wrong_and_sure(found), *_times(found)]
 
 
 def _row(what: str, chosen: Iterable[Trial], good: Callable[[Trial], bool], bar: str) -> Row:
@@ -223,6 +254,59 @@ def _times(found: Sequence[Trial]) -> Iterator[Row]:
     failed = [one for one in found if one.result["verdict"] == "failed"]
     if failed:
         yield Row("diagnosis failed with an error", share(len(failed), len(found)), "0", len(found))
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Statements of nearly one probability: how many, their mean probability, and how many were right."""
+
+    of: str
+    low: float
+    high: float
+    count: int
+    mean: float
+    right: int
+
+    @property
+    def honest(self) -> bool:
+        """Whether the mean lies within the interval of the frequency."""
+        low, high = limits(self.right, self.count)
+        return low <= self.mean <= high
+
+    def row(self) -> tuple[str, ...]:
+        """A line of the page."""
+        said = "yes" if self.honest else "too sure" if self.mean > self.right / self.count else "too modest"
+        stated = f"{self.low:g} to {self.high:g}"
+        return self.of, stated, f"{self.mean:.3f}", share(self.right, self.count), said
+
+
+def reliability(found: Sequence[Trial]) -> Iterator[Reliability]:
+    """Stated probability against frequency of being right, for every kind of world, own and imported.
+
+    Every effect that was said to be possible is one statement; it is right if the effect is among those hidden.
+    """
+    for imported in (False, True):
+        for words, tables in POPULATIONS.items():
+            here = [one for one in found if one.imported == imported and one.table in tables]
+            said = [(value, name in one.answer.names) for one in here for name, value in one.stated]
+            of = f"{words}, {'imported' if imported else 'own bench'}"
+            for place, (low, high) in enumerate(itertools.pairwise(STATED)):
+                inside = [(value, good) for value, good in said if bisect_right(STATED[1:-1], value) == place]
+                if inside:
+                    mean = statistics.fmean(value for value, _ in inside)
+                    yield Reliability(of, low, high, len(inside), mean, sum(good for _, good in inside))
+
+
+def wrong_and_sure(found: Sequence[Trial]) -> Iterator[Row]:
+    """Worlds in which a wrong name has a probability of at least 0.9."""
+
+    def wrong(one: Trial) -> bool:
+        return any(value >= SURE and name not in one.answer.names for name, value in one.stated)
+
+    for imported, what, bar in ((False, "own bench", "≤ 1 %"), (True, "imported", "≤ 2 %")):
+        here = [one for one in found if one.imported == imported]
+        if here:
+            yield _row(f"a wrong name with probability ≥ {SURE}, {what}", here, wrong, bar)
 
 
 def by_effect(found: Sequence[Trial]) -> list[tuple[str, str, str, str, str]]:

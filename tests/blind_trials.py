@@ -22,6 +22,7 @@ from fixtures.imperfections import Beginning
 from fixtures.shelf import SHELF
 from fixtures.world import World
 from rig.diagnose import search
+from rig.diagnose.conclusion import stated
 from rig.diagnose.diagnose import Diagnosis, diagnose
 from rig.errors import BadInput
 from rig.fit import fit as fitting
@@ -40,6 +41,7 @@ FAILURES = (BadInput, ValueError, ArithmeticError, np.linalg.LinAlgError, KeyErr
 
 def trial(case: Case, folder: Path) -> dict[str, Any]:
     """Draw, seal, measure, diagnose and write the result of one world; an error of the program is a result too."""
+    begun = time.perf_counter()
     answer = worlds.drawn(case)
     sealed = worlds.seal(answer, folder)
     world = worlds.world_of(answer)
@@ -48,6 +50,7 @@ def trial(case: Case, folder: Path) -> dict[str, Any]:
         result |= _tried(answer, world, case)
     except FAILURES as error:
         result |= {"verdict": "failed", "named": [], "steps": [], "why": f"{type(error).__name__}: {error}"}
+    result["took"] = time.perf_counter() - begun
     worlds.write(folder / "results" / f"{case.id}.json", result)
     return result
 
@@ -94,6 +97,7 @@ def said(found: Diagnosis) -> dict[str, Any]:
                 "gain": step.taken.gain,
                 "merit": step.taken.merit,
                 "probability": step.taken.probability,
+                "stated": [[one.name, stated(found, one)] for one in step.members],
             }
             for step in found.steps
         ],

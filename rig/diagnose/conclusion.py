@@ -276,7 +276,7 @@ def _candidate(
         title=term.effect.title,
         on=term.on,
         members=members,
-        probability=_probability(diagnosis, choice),
+        probability=stated(diagnosis, choice),
         error_after=errors.error,
         heldout_error_after=errors.heldout,
         there=errors.at(fit, where),
@@ -298,7 +298,10 @@ def _where_it_stands(choice: Choice, fit: Fit) -> tuple[Term, Array]:
     return fit.state.terms[places[0]], covariance_of(fit, places[0])
 
 
-def _probability(diagnosis: Diagnosis, choice: Choice) -> float:
+def stated(diagnosis: Diagnosis, choice: Choice) -> float:
+    """The probability that is said of a choice: of the nearest to an unlisted effect no more than what it explains, and
+    never more than evens.
+    """
     if diagnosis.verdict != "unlisted":
         return choice.probability
     return min(EVENS, choice.probability * min(max(diagnosis.explained, 0.0), 1.0))

@@ -18,6 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
 import argparse
 import hashlib
 import json
+import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -43,7 +44,10 @@ import rig
 EVERYTHING = (*blind_worlds.TABLES, "next", "wire")
 Placed = TypeVar("Placed", Case, Answer)
 SLOWEST_FIRST = ("turntable", "shaker")
-ENGINE = ("estimate/*.py", "effects/*.py", "model.py", "motion.py")
+ENGINE = (
+    "fit/*.py", "diagnose/*.py", "parts/**/*.py", "signals/*.py", "effects/*.py", "formula.py", "model.py", "motion.py",
+)  # fmt: skip
+SECONDS = {"shaker": 20.0, "turntable": 25.0}  # of a world on one core, where no result tells yet
 
 
 def main() -> int:
@@ -74,7 +78,20 @@ def main() -> int:
 
 def _diagnosed(cases: Sequence[Case], folder: Path, asked: argparse.Namespace) -> None:
     missing = [case for case in cases if not (folder / "results" / f"{case.id}.json").exists()]
+    print(expected(missing, folder, asked.processes), flush=True)
     _carried_out(partial(blind_trials.trial, folder=folder), _slow_first(missing), asked.processes, "diagnosed")
+
+
+def expected(missing: Sequence[Case], folder: Path, processes: int) -> str:
+    """How long the worlds that have no result yet will take, by those that have one."""
+    took: dict[str, list[float]] = {}
+    for path in (folder / "results").glob("*.json"):
+        result = json.loads(path.read_text(encoding="utf-8"))
+        if "took" in result:
+            took.setdefault(result["bench"], []).append(float(result["took"]))
+    each = {**SECONDS, **{bench: statistics.median(values) for bench, values in took.items()}}
+    hours = sum(each[case.bench] for case in missing) / 3600.0 / max(min(processes, len(missing)), 1)
+    return f"{len(missing)} worlds to diagnose, about {hours:.1f} h on {processes} cores"
 
 
 def _measured_again(folder: Path, asked: argparse.Namespace) -> None:

@@ -19,9 +19,11 @@ import golden_blind
 import golden_values
 import numpy as np
 import pytest
+from benchmarks import blind
 from blind_scores import Trial
 from blind_worlds import Answer
 
+import rig
 from fixtures import strength
 from fixtures.shelf import SHELF
 
@@ -208,3 +210,51 @@ def test_the_page_says_in_words_what_its_tables_say_in_figures() -> None:
     assert "made by `make blind N=1` from 4 worlds" in text
     assert "| clean: an effect named | 0/2 = 0.0 % (0.0–84.2) | ≤ 1 % |" in text
     assert "Over the wire" not in text
+
+
+def test_stated_probabilities_are_counted_with_how_often_they_were_right() -> None:
+    """Ten statements of 0.95, nine of them right, are honest; ten of 0.995 with five right are not."""
+    good = [_trial(_step("cubic", probability=0.95)) for _ in range(9)]
+    wrong = _trial(_step("delay", probability=0.95))
+    (row,) = blind_scores.reliability([*good, wrong])
+    assert (row.count, row.right, row.honest) == (10, 9, True)
+    assert row.of == "one effect of the shelf, own bench"
+    bold = [_trial(_step(name, probability=0.995)) for name in ["cubic", "delay"] * 5]
+    (row,) = blind_scores.reliability(bold)
+    assert (row.right, row.honest) == (5, False)
+    assert row.row()[-1] == "too sure"
+    low, high = blind_scores.limits(5, 10)
+    assert (low, high) == pytest.approx((0.1871, 0.8129), abs=1e-4)  # Clopper and Pearson (1934)
+
+
+def test_every_member_of_a_class_is_a_statement_and_of_a_stranger_no_name_is_right() -> None:
+    step = {**_step("cubic", "saturation"), "stated": [["cubic", 0.6], ["saturation", 0.3]]}
+    found = {(row.low, row.count, row.right) for row in blind_scores.reliability([_trial(step)])}
+    assert found == {(0.5, 1, 1), (0.25, 1, 0)}
+    stranger = replace(ANSWER, table="strangers", hidden=[{**ENTRY, "name": "creep"}])
+    unlisted = replace(_trial(_step("cubic"), verdict="unlisted", answer=stranger))
+    (row,) = blind_scores.reliability([replace(unlisted, result={**unlisted.result, "explained": 0.9})])
+    assert (row.of, row.right, row.mean) == ("an effect of no shelf, own bench", 0, 0.5)  # never more than evens
+    imported = replace(ANSWER, bench="rotation")
+    assert [row.of for row in blind_scores.reliability([_trial(_step("cubic"), answer=imported)])] == [
+        "one effect of the shelf, imported"
+    ]
+
+
+def test_the_page_has_the_table_of_probabilities_and_who_is_wrong_and_sure() -> None:
+    study = blind_page.Study("make blind N=1", [_trial(_step("delay", probability=0.97)), _trial(_step("cubic"))])
+    text = blind_page.page(study)
+    assert "## What stated probabilities are worth" in text
+    assert "| one effect of the shelf, own bench | 0.9 to 0.99 | 0.970 | 0/1 = 0.0 % (0.0–97.5) | yes |" in text
+    assert "| a wrong name with probability ≥ 0.9, own bench | 1/2 = 50.0 %" in text
+
+
+def test_a_study_says_how_long_it_will_take_and_knows_when_the_program_has_changed(tmp_path: Path) -> None:
+    missing = blind_worlds.cases(1, ["clean"])
+    said = blind.expected(missing, tmp_path, 2)
+    assert said.startswith(f"{len(missing)} worlds to diagnose, about ")
+    for bench in ("shaker", "turntable"):
+        blind_worlds.write(tmp_path / "results" / f"{bench}.json", {"bench": bench, "took": 3600.0})
+    assert f"about {len(missing) / 2:.1f} h on 2 cores" in blind.expected(missing, tmp_path, 2)
+    root = Path(rig.__file__).parent
+    assert all(any(root.glob(pattern)) for pattern in blind.ENGINE)

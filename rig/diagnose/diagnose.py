@@ -429,8 +429,8 @@ def _reordered(members: Sequence[Choice]) -> list[Choice]:
 def _refitted(before: Fit, choice: Choice) -> Choice:
     """A choice fitted to everything beside what was there before, with what it removes there."""
     made = _with_terms(before, [choice.term])
-    if choice.term.effect.looks_in:
-        return replace(choice, fit=made)
+    if choice.term.effect.looks_in:  # its merit is the evidence of that test
+        return replace(choice, fit=made, gain=max(before.objective - made.objective, choice.merit))
     if choice.term.effect.kinked:  # columns are chords, and a descent from elsewhere may end beside the lowest
         nothing = choice.term.moved(**dict.fromkeys(choice.term.at, 0.0))
         anew = search.refitted(before, search.scores(before, [nothing])[0]).fit

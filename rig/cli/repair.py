@@ -307,8 +307,8 @@ def diagnose(
     included, `probability`, `error_after`, `heldout_error_after`, `worst_after`, `parameters` by name with `value`,
     `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation` and what is known of them
     `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in which it was or could be
-    `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`), `description` and `cannot_see`. Errors of
-    a candidate are √(χ²/n): noise is 1.
+    `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`), `description` and
+    `cannot_see`. Errors of a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
     from rig.repair.model_file import terms_of

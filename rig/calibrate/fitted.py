@@ -100,7 +100,8 @@ class Experiment:
     @cached_property
     def missed(self) -> tuple[adequacy.Group, ...]:
         """Groups of rows that the model misses."""
-        return tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count > 1)
+        standing = tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count > 1)
+        return (*standing, *adequacy.unsteady(self.fit))
 
     @cached_property
     def _weights(self) -> Array:

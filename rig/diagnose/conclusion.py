@@ -310,7 +310,7 @@ def stated(diagnosis: Diagnosis, choice: Choice) -> float:
 def description(evidence: Evidence, diagnosis: Diagnosis) -> str:
     """What an unlisted effect looks like: the nearest on the shelf, its laws, and a formula to try as a term."""
     said = [nearest(diagnosis), *_laws(evidence, describe(evidence, diagnosis.base))]
-    groups = adequacy.standing(adequacy.groups(diagnosis.final))
+    groups = [*adequacy.standing(adequacy.groups(diagnosis.final)), *adequacy.unsteady(diagnosis.final)]
     if groups:
         domains = dict.fromkeys(group.domain for group in groups)
         channels = dict.fromkeys(group.channel for group in groups)

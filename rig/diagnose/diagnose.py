@@ -481,7 +481,7 @@ def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Sco
         fine = fine or after < SHARE * (base.objective - final.objective)
     explained = 1.0 - after / before if before > 0.0 else 1.0
     verdict: Verdict
-    if not fine:
+    if not fine or (not steps and adequacy.unsteady(final)):
         verdict = "unlisted"
     elif not held:
         verdict = "undecided"

@@ -28,6 +28,7 @@ RISK = 0.01  # that noise alone makes any of the groups stand out
 FEWEST = 2  # rows of a group
 EXCEEDS = 3.0  # deviates from which a group counts as more than noise in a sum
 FEWEST_HELD = 8  # rows held out, from which anything can be said of them
+BY_CHANCE = 0.002  # that noise alone leaves too much in any of the parts' directions
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,23 @@ def distance(left: Array, matrix: Array, columns: Indices, normal: Array) -> flo
     pull[columns] = matrix.T @ left
     more[np.ix_(columns, columns)] += matrix.T @ matrix
     return max(float(left @ left) - float(pull @ fitting.inverse(more) @ pull), 0.0)
+
+
+def unsteady(found: Fit) -> list[Group]:
+    """Directions of the parts in which more is left than noise: what steps or creeps while χ² of all rows hides it."""
+    tried = list(_directions(found))
+    most = limit(BY_CHANCE, len(tried))
+    return [one for one in tried if deviate(one.chi2, one.count, one.allowance) > most]
+
+
+def _directions(found: Fit) -> Iterator[Group]:
+    for number, part in enumerate(found.parts):
+        rest = found.rest(number)
+        left = np.where(rest.used, rest.left, 0.0)
+        for name, words, columns in part.changes():
+            chi2, mine = float(np.sum((columns.T @ left) ** 2)), part.counted.reshape(len(part.row_names), -1)
+            allowance = part.allowance_of(name, mine[part.row_names.index(name)])
+            yield Group(part.name, part.experiment, name, words, chi2, columns.shape[1], allowance)
 
 
 def _pulls(found: Fit) -> Iterator[Group]:

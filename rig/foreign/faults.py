@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.foreign import outliers
 from rig.foreign.finding import Finding, Rows, listed, runs, stretches_of
-from rig.foreign.isolated import isolated
+from rig.foreign.isolated import isolated, jumping
 from rig.foreign.manifest import KINDS, Column
 from rig.foreign.tables import Foreign, Table
 
@@ -53,16 +53,14 @@ def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
         return []
     if len(finite) < 2 * FROZEN or np.ptp(finite) == 0.0:
         return []
-    found: list[Finding] = []
-    if column.quantity in SIGNALS:
-        found += _clipped(column, values)
-        found += _outliers(column, values, data.time(table), _beside(data, table, column), _pieces(data, values))
-    if column.quantity == "angle":
-        found += _steps(data, table, column, values)
+    found: list[Finding] = [*_clipped(column, values)] if column.quantity in SIGNALS else []
     rest = values.copy()
     for one in found:
-        if one.kind == "clipped":  # stands still too, for a reason that is known
-            rest[one.rows] = math.nan
+        rest[one.rows] = math.nan  # stands still and ends in a kink for a reason that is known
+    if column.quantity in SIGNALS:
+        found += _outliers(column, rest, data.time(table), _beside(data, table, column), _pieces(data, values))
+    if column.quantity == "angle":
+        found += _steps(data, table, column, values)
     return [*found, *_frozen(data, table, column, rest)]
 
 
@@ -126,7 +124,7 @@ def _outliers(
         rest[mark.rows] = math.nan
     single = [here.start + isolated(rest[here], time[here]) for here in pieces]
     rows = np.unique(np.concatenate([outliers.alone(rest), *single]))
-    rows = rows[~np.any([outliers.jumping(one)[rows] for one in beside], axis=0)] if beside else rows
+    rows = rows[~np.any([jumping(one, time)[rows] for one in beside], axis=0)] if beside and len(rows) else rows
     if n := len(rows):
         text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"
         yield _of(column, "alone", rows, f"{text}: {listed(rows)}, the first at {values[rows[0]]:.6g}")

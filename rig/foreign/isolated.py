@@ -8,6 +8,7 @@ far off, and nothing thereabouts is once it is taken out: a knock lasts, or its 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,35 +16,65 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 SIDE = 3  # rows on either side
-FAR = 7.0  # standard deviations of what noise leaves
+FAR = 6.5  # standard deviations of what noise leaves
+KNOCK = 3.5  # of them, in another signal at about the same row: a case that was knocked
+ABOUT = 7  # rows on either side
 QUIET = 4.5  # of them, about a row that was taken out
 PACES = 12  # groups of rows by how fast they change
 BLOCK = 100  # rows whose scatter is looked at together
 GAP = 1.3  # times the usual time between the outermost of them: one that is missing
 TOGETHER = 3  # rows
 MOST = 30  # places; where there are more they are no exception
-STRICTER = 4.0  # power of how much heavier the tails are than normal noise's: noise has outermost rows of its own
+STRICTER = 3.0  # power of how much heavier the tails are than normal noise's: noise has outermost rows of its own
 FEWEST = 100
 
 
 def isolated(values: Array, time: Array) -> Rows:
     """Rows that stand alone, (k,), among values (n,), NaN where there is none, at times (n,), s."""
+    held = _against(values, time)
+    if held is None:
+        return np.zeros(0, np.intp)
+    return held.rows[_standing(held, FAR * max(1.0, _tails(held.share)) ** STRICTER)]
+
+
+def jumping(values: Array, time: Array) -> NDArray[np.bool_]:
+    """Rows that are off the polynomial through their neighbours, or beside such, (n,): the case was knocked."""
+    found, held = np.zeros(len(values), np.bool_), _against(values, time)
+    if held is not None:
+        near = np.convolve(held.share > KNOCK, np.ones(2 * ABOUT + 1), mode="same") > 0.5
+        found[held.rows[near]] = True
+    return found
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Rows with a number and a later stamp, (m,), held against the polynomial: their clock, s or rows, values, what
+    each takes from its neighbours, the scatter of noise, and how far off each is in units of that.
+    """
+
+    rows: Rows
+    clock: Array
+    known: Array
+    weights: Array
+    scatter: Array
+    share: Array
+
+
+def _against(values: Array, time: Array) -> _Held | None:
+    """None of too few rows, or such as scatter nowhere."""
     later = np.flatnonzero(np.isfinite(values) & np.isfinite(time))
     later = later[np.diff(np.maximum.accumulate(time[later]), prepend=-np.inf) > 0.0]
     if len(later) < FEWEST:
-        return later[:0]
+        return None
     known = values[later]
     span = time[later][2 * SIDE :] - time[later][: -2 * SIDE]
     whole = np.pad(span < GAP * float(np.median(span)), SIDE)  # rows that have no gap thereabouts
     # stamps that jitter more than the sampling does make things worse
-    tried = [_weights(time[later]), _weights(np.arange(len(later), dtype=np.float64))]
-    weights = min(tried, key=lambda one: float(np.median(np.abs(_off(known, one)))))
+    tried = [(one, _weights(one)) for one in (time[later], np.arange(len(later), dtype=np.float64))]
+    clock, weights = min(tried, key=lambda one: float(np.median(np.abs(_off(known, one[1])))))
     off = np.abs(_off(known, weights)) * whole
     scatter = _scatter(off, known)
-    if not (scatter > 0.0).all():
-        return later[:0]
-    share = off / scatter
-    return later[_standing(known, weights, scatter, share, FAR * max(1.0, _tails(share)) ** STRICTER)]
+    return _Held(later, clock, known, weights, scatter, off / scatter) if (scatter > 0.0).all() else None
 
 
 def _weights(time: Array) -> Array:
@@ -101,40 +132,47 @@ def _as_fast(off: Array, known: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(level + max(slope, 0.0) * pace**2, 0.0)))
 
 
-def _standing(known: Array, weights: Array, scatter: Array, share: Array, limit: float) -> Rows:
+def _standing(held: _Held, limit: float) -> Rows:
     """Numbers of the rows that stand alone."""
-    order = np.argsort(share)[::-1]
-    far = order[: int(np.count_nonzero(share > limit))]
+    order = np.argsort(held.share)[::-1]
+    far = order[: int(np.count_nonzero(held.share > limit))]
     found: list[int] = []
-    taken = np.zeros(len(known), np.bool_)
+    taken = np.zeros(len(held.known), np.bool_)
     for place, row in enumerate(far.tolist()):
         if place > MOST * (2 * SIDE + 1) or len(found) > MOST:
             return np.zeros(0, np.intp)
         if not taken[max(row - SIDE, 0) : row + SIDE + 1].any():
-            group = _group(known, weights, scatter, row)
+            group = _group(held, row)
             found += group
             taken[group] = True
     return np.array(sorted(found), np.intp)
 
 
-def _group(known: Array, weights: Array, scatter: Array, row: int) -> list[int]:
+def _group(held: _Held, row: int) -> list[int]:
     """The fewest rows about this one without which all is quiet; none if there are none such."""
     for count in range(1, TOGETHER + 1):
         for first in range(row - count + 1, row + 1):
-            here = np.arange(max(first - 3 * SIDE, 0), min(first + count + 3 * SIDE, len(known)))
-            out = np.arange(first, first + count)
-            if out[0] < here[0] + SIDE or out[-1] > here[-1] - SIDE:
+            begin, end = first - 3 * SIDE, first + count + 3 * SIDE
+            if begin < 0 or end > len(held.known):
                 continue
-            rest = np.setdiff1d(here, out)
-            filled = known[here].copy()
-            filled[out - here[0]] = _through(rest - row, known[rest], out - row)
-            left = np.abs(_off(filled, weights[here]))[SIDE:-SIDE] / scatter[here][SIDE:-SIDE]
-            moved = np.abs(known[out] - filled[out - here[0]])
-            if left.max() < QUIET and (moved > QUIET * scatter[out]).all():
+            out = np.arange(first, first + count)
+            filled = held.known[begin:end].copy()
+            filled[out - begin] = _through(held, out, row)
+            left = np.abs(_off(filled, held.weights[begin:end])) / held.scatter[begin:end]
+            moved = np.abs(held.known[out] - filled[out - begin])
+            if left[SIDE:-SIDE].max() < QUIET and (moved > QUIET * held.scatter[out]).all():
                 return [int(one) for one in out]
     return []
 
 
-def _through(places: Rows, values: Array, at: Rows) -> Array:
-    """The polynomial of fifth degree by least squares, at other places."""
-    return np.asarray(np.polyval(np.polyfit(places.astype(np.float64), values, 5), at.astype(np.float64)))
+def _through(held: _Held, out: Rows, row: int) -> Array:
+    """The polynomial in place of some rows: of one as everywhere, of several by least squares through more about them.
+
+    Through the nearest of either side alone it would lead smoothly from one side of a step to the other.
+    """
+    if len(out) == 1:
+        near = held.known[row - SIDE : row + SIDE + 1]
+        return np.asarray([held.weights[row] @ np.delete(near, SIDE)])
+    beside = np.setdiff1d(np.arange(out[0] - 3 * SIDE, out[-1] + 3 * SIDE + 1), out)
+    places, at = (held.clock[one] - held.clock[row] for one in (beside, out))
+    return np.asarray(np.polyval(np.polyfit(places, held.known[beside], 5), at))

@@ -20,7 +20,6 @@ ALONE = 8.0  # times the next smaller jump: rows that jump out and back
 FEW = 20  # rows that jump
 AROUND, LOCAL = 7, 2000  # rows whose median a row is held against, and by whose scatter
 OUT = 8.0  # robust standard deviations
-KNOCK = 4.0  # of them in another signal at the same row: a case that was knocked
 TURNING = 6.0  # times the motion from row to row: a median of seven rows is off by so much where motion turns back
 LONGEST = 3  # rows that stand alone together; what lasts longer is motion
 SPARSE = 0.01  # of the rows: what stands out more often is no exception
@@ -71,15 +70,6 @@ def alone(values: Array) -> Rows:
         return rows
     groups = np.split(rows, np.flatnonzero(np.diff(rows) > AROUND) + 1)
     return np.concatenate([rows[:0], *(one for one in groups if len(one) <= LONGEST)])
-
-
-def jumping(values: Array) -> NDArray[np.bool_]:
-    """Rows that lie off the median of those about them by far more than most do, however far the motion goes, (n,)."""
-    from scipy.ndimage import median_filter
-
-    known = np.where(np.isfinite(values), values, np.nanmedian(values) if np.isfinite(values).any() else 0.0)
-    off = np.abs(known - median_filter(known, AROUND, mode="nearest"))
-    return np.asarray(off > KNOCK * max(_scatter(off), _smallest(known)))
 
 
 def _by_jumps(values: Array) -> Rows:

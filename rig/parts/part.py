@@ -208,6 +208,10 @@ class Part(ABC):
     def noise(self) -> Array:
         """Variance of the noise of every number compared, referred to the input, SI², (names, width)."""
 
+    def changes(self) -> Iterator[tuple[str, str, Array]]:
+        """Directions in which rows may err while χ² of all hides it: a name, words, orthonormal columns (rows, k)."""
+        return iter(())
+
     def numbers(self) -> Array:
         """How many numbers the squares of a name's rows add up over, for its rms error, (names,)."""
         return np.asarray(self.counted.reshape(len(self.row_names), -1).sum(axis=1), np.float64)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Literal
@@ -38,6 +38,7 @@ ALLOWANCE = 0.2
 KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misfit, beside what its fit left open
 WIDER = 1.5  # of the band: what the reference lets through of its noise
 NEAR = 5  # instants that a filter ties to each other
+TELLS = 10.0  # standard deviations of a channel's motion in a stretch, with which it has a gain of its own
 APART = 3600.0  # s between two files, of which nobody knows the order
 
 
@@ -499,6 +500,25 @@ class TrackedMotion(Part):
         inside = np.concatenate([np.arange(begin, end) for begin, end in self.data.stretches])
         kept = self.data.kept
         return np.full(len(self.row_names), float(len(inside))) if kept is None else kept[:, inside].sum(1, np.float64)
+
+    def changes(self) -> Iterator[tuple[str, str, Array]]:
+        """What a gain of its own in every stretch does beside one for all, of every channel that moves; and a trend."""
+        motion, channels = self.reference, self.channels
+        own = np.where(channels.rates[:, None], motion.rate[channels.axis], motion.force[channels.axis])
+        rows = self.whitened(own * channels.sensitivity[:, None]).reshape(len(channels.names), -1)
+        rows[:, self.frequency_of == 0.0] = 0.0  # a zero that wanders is no gain
+        for row, name in enumerate(channels.names):
+            each = self.stretch_of[:, None] == np.arange(len(self._frequencies))
+            columns = each * rows[row][:, None]
+            sizes = np.linalg.norm(columns, axis=0)
+            if (tell := sizes > TELLS).sum() > 1:
+                found = np.zeros((len(channels.names), self.width, int(tell.sum())))
+                found[row] = columns[:, tell] / sizes[tell]
+                begin = np.array([self.data.time[first] for first, _ in self.data.stretches])[tell]
+                late = begin - np.average(begin, weights=sizes[tell] ** 2)
+                apart = np.linalg.qr(np.stack([sizes[tell], sizes[tell] * late], axis=1), mode="complete")[0]
+                for words, some in (("its gain in the course of time", apart[:, 1:]), ("a trend", apart[:, 1:2])):
+                    yield name, words, found.reshape(self.rows, -1) @ some
 
     def shapes(self, component: str) -> Mapping[str, Array]:
         """The motion along each axis, its rate of change, that of the other axes, and squares, each scaled to one."""

@@ -14,6 +14,7 @@ from imported_worlds import Unit, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
+from rig.fit.adequacy import adequate, unsteady
 from rig.fit.quality import error_of
 from rig.foreign.faults import faults
 from rig.foreign.finding import Finding
@@ -165,6 +166,31 @@ def test_clean_records_and_knocks_have_no_faults() -> None:
 
 def test_a_clean_record_of_the_same_device_is_adequate() -> None:
     assert diagnose(evidence(turned())).verdict == "adequate"
+
+
+def slowly(values: Array) -> Array:
+    return values * (1.0 + 0.002 * np.linspace(0.0, 1.0, len(values)))
+
+
+def later(values: Array) -> Array:
+    return values * np.where(np.arange(len(values)) < 5000, 1.0, 1.001)
+
+
+@pytest.mark.parametrize("change", [slowly, later])
+def test_a_gain_that_creeps_or_steps_in_the_course_of_a_record_is_no_effect_and_no_noise(
+    change: Callable[[Array], Array],
+) -> None:
+    """χ² of all rows hides what is small beside their number; a gain of its own in every stretch does not."""
+    clean = rotation(Unit(rate_gain=(1.0, 1.0, GAIN)), 1, rest=10.0, seconds=90.0, channels="r", jitter=4e-4)
+    bad = evidence(spoilt(clean, "gyro_z", change))
+    fit = bad.fitted()
+    assert adequate(fit)
+    assert {one.channel for one in unsteady(fit)} == {"gyro_z"}
+    assert not unsteady(evidence(clean).fitted())
+    said = conclude(bad, [], shelf())
+    assert said.verdict == "unlisted"
+    assert not said.taken
+    assert "its gain in the course of time of gyro_z" in said.description or "a trend" in said.description
 
 
 @pytest.mark.parametrize(

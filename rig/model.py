@@ -260,6 +260,16 @@ class Effect:
         """What the converter makes of volts after those of the slot before."""
         return volts
 
+    # hook: noise
+    def density(self, frequency: Array, channels: Channels, at: Values) -> Array:
+        """One-sided density added to what is recorded of each channel, V²/Hz, (c, *f), at `frequency` Hz (*f,)."""
+        return np.zeros((len(channels.names), *frequency.shape))
+
+    @property
+    def spectral(self) -> bool:
+        """Whether it shows in spectra of records at rest, and in nothing else that is fitted."""
+        return _has(self, "density")
+
 
 @dataclass(frozen=True)
 class Term:

@@ -233,8 +233,9 @@ class Experiment:
 def experiments(evidence: Evidence, assumed: Assumed) -> dict[str, Experiment]:
     """The model fitted to each experiment of the evidence alone, by the experiment's name."""
     found = {}
-    for name in dict.fromkeys(part.experiment for part in evidence.parts):
-        parts = tuple(part for part in evidence.parts if part.experiment == name)
+    every = [part for part in evidence.parts if part.calibrates]
+    for name in dict.fromkeys(part.experiment for part in every):
+        parts = tuple(part for part in every if part.experiment == name)
         terms = [term for term in (*evidence.nuisances, *assumed.terms) if name in term.effect.places]
         start = begin(parts, terms, poles=assumed.poles, shared=assumed.shared, free=True)
         found[name] = Experiment(name, fit(parts, start))

@@ -30,6 +30,7 @@ def cannot_see(
     said += [
         *_unlogged(evidence, shelf),
         *_absorbed(evidence, shelf),
+        *_faint(evidence, shelf),
         *_untested(shelf),
         *evidence.blind,
         *evidence.notes,
@@ -78,6 +79,17 @@ def _absorbed(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[str]:
     for effect in shelf.values():
         if effect.absorbed and any(part.acts(effect) for part in evidence.parts):
             yield f"{effect.name}: {effect.absorbed}"
+
+
+def _faint(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[str]:
+    """Noise: how strong it would have to be to be seen, or why none is looked for."""
+    spectral = [effect for effect in shelf.values() if effect.spectral]
+    for effect in spectral:
+        for part in evidence.parts:
+            yield from part.faintest(effect)
+    names = sorted(e.name for e in spectral if not any(part.acts(e) for part in evidence.parts))
+    if names:
+        yield f"no record at rest of sensors whose noise a sheet states, where alone these show: {', '.join(names)}"
 
 
 def _untested(shelf: Mapping[str, Effect]) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from rig.parts.noise_spectrum import NoiseSpectrum
 from rig.parts.part import Option, Part
 from rig.parts.platter import Platter
 from rig.parts.sweep import Sweep
@@ -30,7 +31,8 @@ def absent(parts: Sequence[Part]) -> list[str]:
 
 def unmeasured(parts: Sequence[Part], blind: Sequence[str]) -> list[tuple[str, str]]:
     """What these runs cannot show though this bench can: a sentence, and the command that measures it."""
-    return [one for kind in reversed(OWN) for one in kind.unmeasured(_of(kind, parts), blind)]
+    kinds: tuple[type[Part], ...] = (*reversed(OWN), NoiseSpectrum)
+    return [one for kind in kinds for one in kind.unmeasured(_of(kind, parts), blind)]
 
 
 def options(parts: Sequence[Part]) -> list[Option]:

@@ -35,7 +35,7 @@ from rig.parts.ripple import Floor
 
 STEP = 1e-4  # relative, of sensitivities and poles; V, of zeros
 ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
-Origin = Literal["at rest", "beside the lines", "repeats", "stated", "data sheet", "misfit"]
+Origin = Literal["at rest", "averages", "beside the lines", "repeats", "stated", "data sheet", "misfit"]
 """Where the noise of some rows is known from. What a model leaves over is no independent source: "misfit"."""
 
 
@@ -53,6 +53,7 @@ class Part(ABC):
     logged: frozenset[str] = frozenset()
     formulas: ClassVar[tuple[str, ...]] = ()
     extra_title: ClassVar[str] = "ripple"
+    calibrates: ClassVar[bool] = True  # whether sensitivities and zero outputs show in it
     faults: tuple[Finding, ...] = ()
     bands: tuple[float, ...] = ()  # Hz, up to which rates and forces of a sampled reference are compared
 
@@ -127,11 +128,11 @@ class Part(ABC):
 
     def here(self, terms: Sequence[Term]) -> list[Term]:
         """Those of the terms that can show here."""
-        return at_work(terms, self.experiment, self.name)
+        return [one for one in at_work(terms, self.experiment, self.name) if not one.effect.spectral]
 
     def acts(self, effect: Effect) -> bool:
         """Whether an effect can show here."""
-        return self.experiment in effect.places
+        return self.experiment in effect.places and not effect.spectral
 
     def excites(self, on: Quantity | None) -> bool:
         """Whether this is an experiment that drives the channels of a quantity."""
@@ -178,6 +179,10 @@ class Part(ABC):
 
     def with_ripple(self, floor: Floor | None) -> Self:
         """The same with the bench's own ripple as nuisances, where a mounting has any."""
+        return self
+
+    def with_walk(self, walk: Mapping[str, float]) -> Self:
+        """The same where zeros walk at random besides, V²·Hz by channel: how uncertain means are depends on it."""
         return self
 
     def said_of_ripple(self, floor: Floor | None) -> tuple[str, ...]:
@@ -328,6 +333,10 @@ class Part(ABC):
     def remarks(self, left: Array, local: Local, terms: Sequence[Term]) -> tuple[str, ...]:
         """What only this kind of record can tell of a fitted model, a sentence each; `left` its rows (rows,)."""
         return ()
+
+    def faintest(self, effect: Effect) -> Iterator[str]:
+        """How strong an effect would have to be to be seen here, where that goes with the length of a record."""
+        yield from ()
 
     def left_out(self) -> Iterator[str]:
         """Channels that are not compared, in words."""

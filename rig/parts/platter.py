@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -57,6 +58,13 @@ class Platter(Part):
 
     def excites(self, on: Quantity | None) -> bool:
         return on == "rate"
+
+    def with_walk(self, walk: Mapping[str, float]) -> Self:
+        levels = [walk.get(name, 0.0) for name in self.channels.names]
+        noise = tuple(replace(one, random_walk=q) for one, q in zip(self.data.noise, levels, strict=True))
+        made = type(self)(replace(self.data, noise=noise))
+        made.notes = self.notes
+        return made
 
     @cached_property
     def reference(self) -> Motion:

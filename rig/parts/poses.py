@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from rig.parts.pose_records import PoseRecords
 from rig.parts.remainder import Cut, Indices, Mask
 from rig.parts.whitening import Whitening
 from rig.shelf import effect_of, nothing_of
+from rig.signals.noise import NoiseModel
 
 GRAVITY = "gravity"
 TILT = math.radians(2.0)  # how well the axis of a turn is along that of the case, standard uncertainty of each angle
@@ -88,6 +90,14 @@ class Poses(Part):
         self._start = _unit(self._first(data.channels.sensitivity, self.zeros))
         self.blind = tuple(_blind(data, _different(self._start[:, ~self._turned]) if len(self._triad) else 0))
         self.extra = self._of_gravity()
+
+    def with_walk(self, walk: Mapping[str, float]) -> Self:
+        begin, end = self.spans()
+        levels = [walk.get(name, 0.0) for name in self.channels.names]
+        more = [NoiseModel(1.0, 0.0, random_walk=q).covariance(begin, end) for q in levels]
+        made = type(self)(replace(self.data, covariance=self._covariance + np.array(more)))
+        made.notes = self.notes
+        return made
 
     @property
     def zeros(self) -> Array:

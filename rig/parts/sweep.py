@@ -53,6 +53,13 @@ class Sweep(Part):
         # noise, its rows, and the generator's state behind it, by its state before
         self._drawn: dict[str, tuple[Complexes, Array, Mapping[str, Any]]] = {}
 
+    def with_walk(self, walk: Mapping[str, float]) -> Self:
+        levels = [walk.get(name, 0.0) for name in self.channels.names]
+        noise = tuple(replace(one, random_walk=q) for one, q in zip(self.data.noise, levels, strict=True))
+        made = type(self)(replace(self.data, noise=noise))
+        made.notes = self.notes
+        return made
+
     @property
     def drawing(self) -> str:
         return "sweep" if self.data.driven.any() else ""

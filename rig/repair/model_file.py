@@ -464,7 +464,10 @@ def _channel(fit: Fit, number: int, c: int, before: ChannelEntry | None) -> Chan
     return ChannelEntry(
         sensitivity=sensitivity,
         pole=filtered if fit.state.poles and math.isfinite(pole) else None,
-        zero={**(before.zero if before else {}), part.name: _short(float(local.zero[c]), DIGITS)},
+        zero={
+            **(before.zero if before else {}),
+            **({part.name: _short(float(local.zero[c]), DIGITS)} if part.calibrates else {}),
+        },
         u_zero={**(before.u_zero if before else {}), **determined},
         axis="xyz"[channels.axis[c]],
         triad=channels.unit[c],

@@ -45,7 +45,7 @@ DRAWINGS: Mapping[str, Drawing] = {
     "poses": _each("misfit_poses", imported_figures.poses),
     "response": _responses,
 }
-"""By the noun that a part gives; "" is drawn nowhere."""
+"""By the noun that a part gives; what has no drawing is drawn nowhere."""
 
 
 def draw(evidence: Evidence, fit: Fit, folder: Path, kinds: Sequence[str] = ("svg",)) -> list[Path]:

@@ -65,7 +65,7 @@ def test_a_model_reads_back_as_it_was_written_and_predicts_the_same(tmp_path: Pa
 def test_adding_the_missing_effect_brings_the_error_down_to_the_noise_on_held_out_data_too() -> None:
     start, add = repaired().model.history
     assert (start.action, add.action, add.effect) == ("start", "add", "cubic")
-    assert start.error > 1.3
+    assert start.error > 1.25
     assert start.heldout is not None
     assert add.heldout is not None
     assert start.heldout > 1.3
@@ -163,7 +163,7 @@ def test_a_formula_may_not_take_the_name_of_an_effect(name: str, tmp_path: Path)
 def test_a_term_with_starts_and_channels_is_fitted_and_reads_back(tmp_path: Path) -> None:
     own = own_term("k*sin(u/w)", ["w=2 g", "w=1 g"], ["unit_a_x", "unit_b_x", "unit_c_x"])
     made = repair.added(bench(), repair.new(bench(), "datasheet"), "wave", "acceleration", own)
-    assert made.before.error > 1.3
+    assert made.before.error > 1.25
     assert made.after.error == pytest.approx(1.0, abs=0.1)  # the hidden cubic is the wave's third power
     save(tmp_path / "model.yaml", made.model)
     again = load(tmp_path / "model.yaml", shelf())

@@ -75,8 +75,9 @@ def test_few_poses_are_compared_and_said_to_be_few(poses: int) -> None:
 
 def test_a_record_at_rest_tells_the_zero_output_of_the_gyros_and_leaves_nothing_but_noise() -> None:
     evidence = evidence_of([fast_bench.measure({"procedure": "noise", "length": "60 s"}, fast_bench.world(3, []))])
-    (part,) = evidence.parts
+    part = evidence.parts[0]
     assert all(part.channels.rates)
+    assert [one.experiment for one in evidence.parts] == ["poses", "shaker"]  # means of the gyros, noise of all
     fit = evidence.fitted()
     assert adequacy.adequate(fit)
     assert fit.state.zero[0] == pytest.approx(2.5, abs=0.1)

@@ -6,18 +6,30 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rig.archive.records import Recorded
 from rig.foreign.tables import foreign_of, is_foreign
+from rig.parts.noise_spectrum import NoiseSpectrum
 from rig.parts.part import Part
-from rig.parts.reading import imported, still, sweep, tumble, turntable
+from rig.parts.reading import imported, noise_spectrum, still, sweep, tumble, turntable
 from rig.parts.reading.reading import Reading
 
 Reader = Callable[[Sequence[Recorded]], Reading]
-READERS: tuple[Reader, ...] = (sweep.read, turntable.read, tumble.read, still.read, imported.read)
+READERS: tuple[Reader, ...] = (
+    sweep.read, turntable.read, tumble.read, still.read, noise_spectrum.read, imported.read,
+)  # fmt: skip
 """Each takes of the runs what it can read. A new kind of experiment of the rig's own adds one here."""
 
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """Everything in these runs that a model can be compared with. Raises BadInput as the readers do."""
-    return Reading.joined(reader(runs) for reader in READERS)
+    return _wandering(Reading.joined(reader(runs) for reader in READERS))
+
+
+def _wandering(found: Reading) -> Reading:
+    """Parts whose zeros walk at random as the records at rest of the same run show."""
+    walks: dict[str, dict[str, float]] = {}
+    for rest in (one for one in found.parts if isinstance(one, NoiseSpectrum)):
+        walks.setdefault(rest.run, {}).update(rest.walks())
+    parts = tuple(one.with_walk(walk) if (walk := walks.get(one.run)) else one for one in found.parts)
+    return Reading(parts, found.known)
 
 
 def all_imported(runs: Sequence[Recorded]) -> bool:

@@ -32,7 +32,7 @@ def model() -> Model:
 
 
 def part() -> Sweep:
-    (one,) = model().fit.parts
+    one = model().fit.parts[0]
     assert isinstance(one, Sweep)
     return one
 

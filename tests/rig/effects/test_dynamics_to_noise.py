@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,9 +46,10 @@ HOOKED: list[Effect] = [
 ]  # fmt: skip
 LOOKED_AT: dict[str, list[Effect]] = {
     "codes": [Quantisation()], "clock": [ClockRatio()], "lines": [Aliasing(), Spur()], "dropouts": [LdvDropout()],
-    "graduation": [EncoderGraduation()], "closure": [MissedCounts()], "noise": [White(), Flicker(), RandomWalk()],
+    "graduation": [EncoderGraduation()], "closure": [MissedCounts()],
 }  # fmt: skip
 UNHOOKED = [effect for effects in LOOKED_AT.values() for effect in effects]
+SPECTRAL: list[Effect] = [White(), Flicker(), RandomWalk()]
 ALONG = np.array([[0, 2.0, 0, 0, 0, 0], [0, 3j, 0, 0, 0, 0]], np.complex128)
 
 
@@ -227,7 +229,7 @@ def test_an_oval_disk_shows_too_much_twice_per_turn_with_its_derivatives() -> No
     assert bend == pytest.approx([0.0, 12e-4, 0.0], abs=1e-15)
 
 
-@pytest.mark.parametrize("effect", [*HOOKED, *UNHOOKED], ids=name_of)
+@pytest.mark.parametrize("effect", [*HOOKED, *UNHOOKED, *SPECTRAL], ids=name_of)
 def test_what_a_person_reads_leads_back_to_the_coordinates(effect: Effect) -> None:
     at = {c.name: 3.0 * c.step for c in effect.coordinates}
     assert effect.from_physical(effect.physical(at)) == pytest.approx(at)
@@ -256,3 +258,23 @@ def test_what_no_harmonic_shows_is_left_to_a_test_of_its_own_and_moves_no_observ
         assert effect.looks_in == where
         hooks = {"shaken", "turned", "motion", "felt", "transduce", "response", "output", "added", "late", "mixed"}
         assert hooks.isdisjoint(vars(type(effect)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "density"),
+    [
+        (White(), {"density": 2e-4}, [4e-8, 4e-8]),
+        (Flicker(), {"level": 3e-3, "reach": 1e9}, [9e-6, 9e-7]),
+        (RandomWalk(), {"coefficient": 1e-3}, [2e-6 / (2.0 * np.pi) ** 2, 2e-8 / (2.0 * np.pi) ** 2]),
+    ],
+    ids=["White", "Flicker", "RandomWalk"],
+)
+def test_a_density_is_one_sided_and_goes_with_the_square_of_the_sensitivity(
+    effect: Effect, parameters: dict[str, float], density: list[float]
+) -> None:
+    """At 1 and 10 Hz, of channels of 1 V/SI and of two that are as sensitive as 3 V/SI."""
+    some = replace(channels(), sensitivity=np.array([1.0, 3.0, -3.0]))
+    found = effect.density(np.array([1.0, 10.0]), some, effect.from_physical(parameters))
+    assert found == pytest.approx(np.outer([1.0, 9.0, 9.0], density))
+    assert effect.spectral
+    assert not MainsHum().spectral

@@ -260,15 +260,21 @@ class Effect:
         """What the converter makes of volts after those of the slot before."""
         return volts
 
-    # hook: noise
-    def density(self, frequency: Array, channels: Channels, at: Values) -> Array:
-        """One-sided density added to what is recorded of each channel, V²/Hz, (c, *f), at `frequency` Hz (*f,)."""
+    # hooks: noise
+    def density(self, frequency: Array, rate: float, channels: Channels, at: Values) -> Array:
+        """One-sided density added to what is recorded of each channel `rate` times a second, V²/Hz, (c, *f), at
+        `frequency` Hz (*f,).
+        """
         return np.zeros((len(channels.names), *frequency.shape))
+
+    def tone(self, rate: float, channels: Channels, at: Values) -> tuple[Array, float] | None:
+        """Amplitude (V, (c,)) and frequency (Hz) of a line in what is recorded of each channel; None for none."""
+        return None
 
     @property
     def spectral(self) -> bool:
         """Whether it shows in spectra of records at rest, and in nothing else that is fitted."""
-        return _has(self, "density")
+        return _has(self, "density") or _has(self, "tone")
 
 
 @dataclass(frozen=True)

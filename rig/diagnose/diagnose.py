@@ -181,7 +181,7 @@ def _training(evidence: Evidence, whole: Fit) -> Mask | None:
 def _step(
     evidence: Evidence, current: Fit, shelf: Mapping[str, Effect], before: Sequence[Step], memory: search.Memory
 ) -> tuple[Step | None, tuple[Score, ...]]:
-    there = {term.effect.name for term in current.state.terms if not term.prior}
+    there = {term.key for term in current.state.terms if not term.prior}
     for finding in instruments.findings(evidence, shelf, there):
         if finding.evidence > FINDING:
             return _by_test(evidence, current, finding), ()

@@ -31,9 +31,9 @@ def findings(evidence: Evidence, shelf: Mapping[str, Effect], there: set[str]) -
     """What the instruments' own tests find that is not in the model, strongest first."""
     signs = [one for kind, parts in by_kind(evidence.parts) for one in kind.signs(parts)]
     found = [
-        Finding(Term(shelf[one.effect], None, one.at), one.u, one.evidence, one.because)
+        Finding(term, one.u, one.evidence, one.because)
         for one in signs
-        if one.effect in shelf and one.effect not in there
+        if one.effect in shelf and (term := Term(shelf[one.effect], one.on, one.at)).key not in there
     ]
     return sorted(found, key=lambda one: -one.evidence)
 

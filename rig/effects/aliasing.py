@@ -1,9 +1,13 @@
 """Aliasing: a line above half the sampling rate is folded down among the signals.
 
-No hook: a test of its own looks for lines that belong to no harmonic of the motion.
+A test of its own looks for lines in records at rest; what it finds is held against their spectra.
 """
 
-from rig.model import BOTH, Coordinate, Effect, Parameter
+from __future__ import annotations
+
+import numpy as np
+
+from rig.model import BOTH, Array, Channels, Coordinate, Effect, Parameter, Values
 
 
 class Aliasing(Effect):
@@ -11,6 +15,7 @@ class Aliasing(Effect):
     title = "aliasing"
     equation = "f_shown = |frequency − k·f_sampling|, k whole, f_shown ≤ f_sampling/2"
     quantities = BOTH
+    places = ("shaker", "turntable")
     coordinates = (Coordinate("amplitude", 1e-4), Coordinate("frequency", 1.0))
     parameters = (
         Parameter("amplitude", "V", (0.0, 1.0), (1e-4, 1e-2)),
@@ -22,3 +27,7 @@ class Aliasing(Effect):
     source = "error sources E05, S29"
     lost = "a folded line cannot be told from a signal at its frequency"
     looks_in = "lines"
+
+    def tone(self, rate: float, channels: Channels, at: Values) -> tuple[Array, float] | None:
+        shown = abs(at["frequency"] - rate * round(at["frequency"] / rate))
+        return np.full(len(channels.names), at["amplitude"]), shown

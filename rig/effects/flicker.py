@@ -38,7 +38,7 @@ class Flicker(Effect):
     def from_physical(self, values: Values) -> dict[str, float]:
         return {"power": values["level"] ** 2, "reach": values["reach"]}
 
-    def density(self, frequency: Array, channels: Channels, at: Values) -> Array:
+    def density(self, frequency: Array, rate: float, channels: Channels, at: Values) -> Array:
         if not at["power"]:
             return np.zeros((len(channels.names), *frequency.shape))
         return np.multiply.outer(channels.sensitivity**2, at["power"] * np.exp(-frequency / at["reach"]) / frequency)

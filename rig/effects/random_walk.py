@@ -32,5 +32,5 @@ class RandomWalk(Effect):
     def from_physical(self, values: Values) -> dict[str, float]:
         return {"power": values["coefficient"] ** 2}
 
-    def density(self, frequency: Array, channels: Channels, at: Values) -> Array:
+    def density(self, frequency: Array, rate: float, channels: Channels, at: Values) -> Array:
         return np.multiply.outer(channels.sensitivity**2, at["power"] * 2.0 * (2.0 * math.pi * frequency) ** -2.0)

@@ -1,9 +1,13 @@
 """Spur: one narrow line in the noise, of the sensor's own clock or of something that hums nearby.
 
-No hook: a test of its own looks for lines that belong to no harmonic of the motion.
+A test of its own looks for lines in records at rest; what it finds is held against their spectra.
 """
 
-from rig.model import BOTH, Coordinate, Effect, Parameter
+from __future__ import annotations
+
+import numpy as np
+
+from rig.model import BOTH, Array, Channels, Coordinate, Effect, Parameter, Values
 
 
 class Spur(Effect):
@@ -11,6 +15,7 @@ class Spur(Effect):
     title = "spurious line"
     equation = "u += amplitude·cos(2π·frequency·t + any phase)"
     quantities = BOTH
+    places = ("shaker", "turntable")
     coordinates = (Coordinate("amplitude", 1e-3), Coordinate("frequency", 1.0))
     parameters = (
         Parameter("amplitude", "SI", (0.0, 10.0), (1e-4, 1e-1)),
@@ -22,3 +27,7 @@ class Spur(Effect):
     source = "error sources N07, S29"
     lost = "its phase is not known from record to record"
     looks_in = "lines"
+
+    def tone(self, rate: float, channels: Channels, at: Values) -> tuple[Array, float] | None:
+        shown = abs(at["frequency"] - rate * round(at["frequency"] / rate))
+        return np.abs(channels.sensitivity) * at["amplitude"], shown

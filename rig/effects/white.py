@@ -32,5 +32,5 @@ class White(Effect):
     def from_physical(self, values: Values) -> dict[str, float]:
         return {"power": values["density"] ** 2}
 
-    def density(self, frequency: Array, channels: Channels, at: Values) -> Array:
+    def density(self, frequency: Array, rate: float, channels: Channels, at: Values) -> Array:
         return np.multiply.outer(channels.sensitivity**2, at["power"] * np.ones_like(frequency))

@@ -24,9 +24,10 @@ from rig.model import Channels, Effect, Local, Term, at_work
 from rig.motion import Array, Motion
 from rig.parts.conditions import NOMINAL
 from rig.parts.noise_records import NoiseRecords
+from rig.parts.noise_signs import signs
 from rig.parts.part import STEP, Origin, Part
 from rig.parts.poses import Still
-from rig.parts.remainder import Cut, Indices, Mask, Remainder, Score, Series
+from rig.parts.remainder import Cut, Indices, Mask, Remainder, Score, Series, Sign
 from rig.signals.rest_spectrum import Bands
 from rig.signals.sheet_noise import GRID, OPEN, Levels, Scatter, mean_density, with_added
 
@@ -138,7 +139,11 @@ class NoiseSpectrum(Part):
         found = np.zeros((len(self.channels.names), len(bands.dof)))
         for term in terms:
             here = self.channels.of(term.on)
-            found[here] += term.effect.density(bands.nodes, _scaled(self.channels, local, here), term.at).mean(axis=-1)
+            some = _scaled(self.channels, local, here)
+            found[here] += term.effect.density(bands.nodes, self.data.rate, some, term.at).mean(axis=-1)
+            if (line := term.effect.tone(self.data.rate, some, term.at)) is not None:
+                there = (bands.low <= line[1]) & (line[1] < bands.high)
+                found[here] += np.outer(0.5 * line[0] ** 2, bands.of_line * there)
         return found
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
@@ -207,7 +212,7 @@ class NoiseSpectrum(Part):
             yield f"up to {most:.2g} times the data sheet's, {words}", {row: float(removed[row]) for row in rows}
 
     def faintest(self, effect: Effect) -> Iterator[str]:
-        for on in effect.quantities if self.acts(effect) else ():
+        for on in effect.quantities if self.acts(effect) and not effect.looks_in else ():
             if len(self.channels.of(on)):
                 term = Term(effect, on, effect.starts(self.reference, on)[0])
                 first = effect.parameters[0]
@@ -225,6 +230,10 @@ class NoiseSpectrum(Part):
             change = self.raw(local, [middle]) - self.raw(local, [])
             low, high = (low, 0.5 * (low + high)) if np.sum(change**2) > SEEN else (0.5 * (low + high), high)
         return term.moved(**{name: term.at[name] * math.exp(high)})
+
+    @classmethod
+    def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:
+        yield from signs([one.data for one in parts])
 
     @classmethod
     def unmeasured(cls, parts: Sequence[Self], blind: Sequence[str]) -> Iterator[tuple[str, str]]:

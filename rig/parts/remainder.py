@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Local, Term
+from rig.model import Local, Quantity, Term
 from rig.motion import Array
 
 Mask = NDArray[np.bool_]
@@ -84,7 +84,7 @@ class Reversal:
 @dataclass(frozen=True)
 class Sign:
     """What an instrument's own test shows: an effect of the shelf by name, its coordinates with standard uncertainties,
-    the strength of the evidence as χ², and why.
+    the strength of the evidence as χ², why, and on which channels.
     """
 
     effect: str
@@ -92,3 +92,4 @@ class Sign:
     u: Mapping[str, float]
     evidence: float
     because: str
+    on: Quantity | None = None

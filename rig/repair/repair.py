@@ -223,8 +223,9 @@ _Added = tuple[Term, Mapping[str, float] | None, tuple[str, ...], Fit]
 
 def _by_test(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None) -> _Added:
     """An effect that a test of its own determines."""
-    there = {term.effect.name for term in base.fit.state.terms if not term.prior}
+    there = {term.key for term in base.fit.state.terms if not term.prior}
     found = [f for f in instruments.findings(bench.evidence, bench.shelf, there) if f.term.effect.name == effect.name]
+    found = [f for f in found if on in (None, f.term.on)]
     if not found:
         raise BadInput(f"add: found no sign of {effect.name} in these runs, wanted one; {effect.separate_by}")
     state = replace(base.fit.state, terms=(*base.fit.state.terms, found[0].term))

@@ -2,7 +2,7 @@
 
 A line stands out of the median power around it; the powers of like channels and of all records are added up, and chance
 is a gamma distribution with as many degrees of freedom, times the number of lines looked at. Channels that a
-multiplexer converts one after the other, `delay` s apart, see a line of frequency F at phases that go as F·delay: a line
+multiplexer converts one after the other see a line of frequency F at phases that go as F times the delay of each: one
 that was folded at the sampling rate keeps the phases of what it was, modulo one over the delay between two slots.
 """
 
@@ -22,6 +22,7 @@ SLOWEST = 20.0  # lines from zero: below, a median follows a spectrum that rises
 BESIDE = 0.15  # Hz on either side of a multiple of the mains
 EVIDENCE = 30.0  # −2·ln of what chance gives
 IN_STEP = 0.95  # of phases that a folded line explains
+ALIKE = 1e-6  # of that: frequencies that cannot be told apart
 FEWEST = 4  # channels whose phases tell
 FINE = 32  # parts of a line's width to which a frequency is looked for
 USED = 0.93  # share of codes in the middle of a record that a converter must have left out to be called coarser
@@ -49,7 +50,7 @@ def strongest(records: Sequence[Array], rate: float, mains: float) -> Line | Non
     relative = np.sum([power / _around(power) for power in found], axis=(0, 2))
     frequency = np.arange(len(relative)) * rate / len(records[0])
     beside = np.abs(frequency - mains * np.maximum(np.round(frequency / mains), 1.0))
-    looked = (np.arange(len(relative)) > SLOWEST) & (beside > BESIDE) & (frequency < 0.5 * rate - mains)
+    looked = (np.arange(len(relative)) > SLOWEST) & (beside > BESIDE) & (frequency < 0.5 * rate - 1.0)
     if not looked.any():
         return None
     place = int(np.where(looked, relative, 0.0).argmax())
@@ -68,7 +69,8 @@ def _around(power: Array) -> Array:
     step = AROUND // 4
     padded = np.pad(power, ((AROUND // 2, AROUND // 2 + step), (0, 0)), mode="reflect")
     places = np.arange(0, len(power) + step, step)
-    medians = np.array([np.median(padded[at : at + AROUND], axis=0) for at in np.minimum(places, len(power) - 1)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, AROUND, axis=0)
+    medians = np.median(windows[np.minimum(places, len(power) - 1)], axis=-1)
     at = np.arange(len(power))
     return np.stack([np.interp(at, places, one) for one in medians.T], axis=1) / math.log(2.0)
 
@@ -111,15 +113,17 @@ def folded(line: Line, delay: Array, rate: float) -> float | None:
         return None
     slot = float(np.diff(np.unique(delay)).min())
     highest = round(1.0 / (slot * rate))
-    best, where = 0.0, line.frequency
+    found = []
     for fold in range(highest + 1):
         for sign in (1.0, -1.0):
             tried = fold * rate + sign * line.frequency
             if tried > 0.0:
                 turned = np.exp(1j * (sign * line.phases - 2.0 * math.pi * tried * delay))
                 step = float(np.mean(np.abs(turned @ weight)) / weight.sum())
-                best, where = max((best, where), (step, tried))
-    return where if best > IN_STEP and where > 0.5 * rate else None
+                found.append((step, tried))
+    best = max(found)[0]
+    lowest = min(tried for step, tried in found if step > best - ALIKE)
+    return lowest if best > IN_STEP and lowest > 0.5 * rate else None
 
 
 def coarse_step(codes: Array) -> tuple[float, float] | None:

@@ -16,9 +16,11 @@ from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
 from rig.model import Local, Term
 from rig.parts.noise_spectrum import NoiseSpectrum
+from rig.parts.reading.noise_spectrum import read as rested_parts
 from rig.repair.model_file import Model
 from rig.repair.repair import Bench, added, fitted
 from rig.shelf import effect_of, shelf
+from rig.signals.rest_lines import coarse_step, folded, strongest
 from rig.signals.rest_spectrum import Bands, bands
 from rig.signals.sheet_noise import Levels, Scatter, Sheet
 
@@ -28,14 +30,17 @@ HIDDEN: dict[str, tuple[str, dict[str, Any]]] = {
     "white": ("shaker", {"density": 2e-4, "quantity": "acceleration"}),
     "flicker": ("shaker", {"level": 1e-2, "quantity": "acceleration"}),
     "random_walk": ("turntable", {"coefficient": 1e-2, "quantity": "rate"}),
+    "spur": ("shaker", {"amplitude": 3e-3, "frequency": 6.85, "quantity": "acceleration"}),
+    "aliasing": ("shaker", {"amplitude": 2e-4, "frequency": 23456.0, "quantity": "acceleration"}),
+    "quantisation": ("shaker", {"step": 1.3e-3}),
 }
 
 
 def rested(name: str) -> Evidence:
-    """A minute at rest in a world that hides this."""
+    """As long at rest as before and after a sweep in a world that hides this."""
     cables, parameters = HIDDEN[name]
     hidden = [{"name": name, "parameters": parameters}] if parameters else []
-    run = fast_bench.measure({"procedure": "noise", "length": "60 s", "cables": cables}, fast_bench.world(5, hidden))
+    run = fast_bench.measure({"procedure": "noise", "length": "35 s", "cables": cables}, fast_bench.world(5, hidden))
     return evidence_of([run])
 
 
@@ -49,6 +54,11 @@ def conclusions(evidences: dict[str, Evidence]) -> dict[str, Conclusion]:
     return {name: conclude(one, [], shelf()) for name, one in evidences.items()}
 
 
+def test_too_short_a_rest_is_no_part() -> None:
+    run = fast_bench.measure({"procedure": "noise", "length": "3 s"}, fast_bench.world(5))
+    assert not rested_parts([run]).parts
+
+
 def part_of(evidence: Evidence) -> NoiseSpectrum:
     return next(part for part in evidence.parts if isinstance(part, NoiseSpectrum))
 
@@ -57,7 +67,7 @@ def test_a_clean_record_is_adequate_and_nothing_is_named(conclusions: dict[str, 
     said = conclusions["clean"]
     assert said.verdict == "adequate"
     assert not said.candidates
-    seen = {one.partition(":")[0] for one in said.cannot_see if "would not be seen in 60 s at rest" in one}
+    seen = {one.partition(":")[0] for one in said.cannot_see if "would not be seen in 35 s at rest" in one}
     assert {"white (acceleration)", "flicker (acceleration)", "random_walk (rate)"} <= seen
 
 
@@ -70,7 +80,25 @@ def test_noise_that_is_hidden_is_named_as_strong_as_it_is(name: str, conclusions
     found = said.taken[0].parameters[parameter]
     assert found.u is not None
     assert abs(found.value - true) < 3.5 * found.u
-    assert found.u < 0.1 * true
+    assert found.u < 0.12 * true
+
+
+def test_what_stands_out_falls_to_the_noise(conclusions: dict[str, Conclusion]) -> None:
+    """Of each kind, where it is worst; the line of the spur is in one band of a few dozen."""
+    for name, said in conclusions.items():
+        assert adequacy.adequate(said.diagnosis.final), name
+        if name != "random_walk":  # in half a minute its rows together are seen, and no group of them
+            assert adequacy.adequate(said.diagnosis.base) == (name == "clean"), name
+
+
+def test_a_line_is_told_with_its_frequency_and_a_folded_one_with_what_it_was(
+    conclusions: dict[str, Conclusion],
+) -> None:
+    for name in ("spur", "aliasing"):
+        found = conclusions[name].taken[0].parameters["frequency"]
+        assert found.u is not None
+        assert abs(found.value - HIDDEN[name][1]["frequency"]) < 3.5 * found.u
+        assert found.u < 0.01
 
 
 def test_adding_it_brings_the_error_of_its_group_to_the_noise(evidences: dict[str, Evidence]) -> None:
@@ -93,7 +121,8 @@ def test_a_comparison_says_in_words_how_loud_it_is(evidences: dict[str, Evidence
     assert "times the data sheet's, white" in words
     groups = {one.name: one for one in compare(evidences["clean"]).groups}
     assert groups["shaker, noise of gyros"].noise_from == ("averages",)
-    assert groups["shaker, noise of gyros"].ratio == pytest.approx(0.9, abs=0.2)  # four more rows, and the allowance for its shape
+    # four rows that are mostly small, and the allowance for the shape of a density
+    assert groups["shaker, noise of gyros"].ratio == pytest.approx(0.9, abs=0.2)
 
 
 def test_nothing_is_learned_of_sensitivity_and_pole_from_the_noise_of_the_sheet(evidences: dict[str, Evidence]) -> None:
@@ -195,7 +224,7 @@ def test_what_is_added_is_taken_off_before_the_levels_are_found() -> None:
     true = [0.15, -0.05, 0.5, -0.4]
     levels = Levels(sheet(), RATE, like(sheet(), true, more=0.1))
     assert np.abs(levels.start()[0] - true).max() > 0.3
-    assert levels.with_added(levels.start(), np.full((1, 39), 0.1))[0] == pytest.approx(true, abs=0.25)
+    assert levels.with_added(levels.start(), np.full((1, 39), 0.1))[0][:3] == pytest.approx(true[:3], abs=0.1)
 
 
 def test_deviates_of_few_lines_are_normal() -> None:
@@ -216,3 +245,44 @@ def test_a_walk_is_seen_with_its_level_and_none_where_there_is_none() -> None:
         assert found is not None
         level = Levels(own, RATE, found).walks(both, np.ones(1))[0]
         assert level == pytest.approx(2.0 * walk**2 / (2.0 * math.pi) ** 2, rel=0.35)
+
+
+def lined(seed: int, frequency: float = 0.0, amplitude: float = 0.0, phases: bool = False) -> np.ndarray:
+    """Six channels of white noise, a line in all of them converted one after the other, (n, 6)."""
+    random = np.random.default_rng(seed)
+    time = np.arange(20_000)[:, None] / RATE + 1e-5 * np.arange(6)
+    turned = 2.0 * math.pi * frequency * time + (random.uniform(0.0, 6.0, 6) if phases else 0.0)
+    return np.asarray(random.standard_normal((20_000, 6)) + amplitude * np.cos(turned))
+
+
+def test_a_line_is_found_with_frequency_and_amplitude_and_none_in_noise() -> None:
+    found = strongest([lined(1, 37.123, 0.08), lined(2, 37.123, 0.08)], RATE, MAINS)
+    assert found is not None
+    assert abs(found.frequency - 37.123) < 4.0 * found.u < 0.01
+    assert np.all(np.abs(found.amplitude - 0.08) < 4.5 * found.u_amplitude)
+    assert not any(strongest([lined(seed)], RATE, MAINS) for seed in range(12))
+
+
+def test_a_line_at_a_multiple_of_the_mains_is_none() -> None:
+    assert strongest([lined(1, 3.0 * MAINS, 0.3)], RATE, MAINS) is None
+
+
+@pytest.mark.parametrize(("frequency", "was"), [(12_345.6, 12_345.6), (94_321.0, 5_679.0), (120.5, None)])
+def test_a_folded_line_is_known_by_its_phases(frequency: float, was: float | None) -> None:
+    """Modulo 100 kHz, and with either sign; a line below half the rate was not folded."""
+    found = strongest([lined(3, frequency, 0.2)], RATE, MAINS)
+    assert found is not None
+    told = folded(found, 1e-5 * np.arange(6), RATE)
+    assert (told is None) if was is None else told == pytest.approx(was, abs=0.01)
+    other = strongest([lined(4, frequency, 0.2, phases=True)], RATE, MAINS)
+    assert other is not None
+    assert folded(other, 1e-5 * np.arange(6), RATE) is None
+
+
+@pytest.mark.parametrize("step", [1.6, 3.3, 7.9])
+def test_codes_that_are_left_out_tell_the_step(step: float) -> None:
+    volts = np.random.default_rng(5).normal(0.3, 6.0, 50_000)
+    found = coarse_step(np.round(step * np.round(volts / step)))
+    assert found is not None
+    assert abs(found[0] - step) < 3.5 * found[1]
+    assert coarse_step(np.round(volts)) is None

@@ -274,7 +274,7 @@ def test_a_density_is_one_sided_and_goes_with_the_square_of_the_sensitivity(
 ) -> None:
     """At 1 and 10 Hz, of channels of 1 V/SI and of two that are as sensitive as 3 V/SI."""
     some = replace(channels(), sensitivity=np.array([1.0, 3.0, -3.0]))
-    found = effect.density(np.array([1.0, 10.0]), some, effect.from_physical(parameters))
+    found = effect.density(np.array([1.0, 10.0]), 1e3, some, effect.from_physical(parameters))
     assert found == pytest.approx(np.outer([1.0, 9.0, 9.0], density))
     assert effect.spectral
     assert not MainsHum().spectral

@@ -13,7 +13,7 @@ from rig.fit.evidence import Evidence
 from rig.model import Effect
 from rig.parts import experiments
 
-TESTED = ("closure", "dropouts", "clock", "lines", "codes")  # effects with a test of their own that looks for them
+TESTED = ("closure", "dropouts", "clock", "lines", "codes", "graduation")  # looked for by tests of their own
 LOGGED = {"temperature": "the temperature", "supply": "the supply", "source": "the drive's voltage"}
 
 

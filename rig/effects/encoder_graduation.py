@@ -1,6 +1,6 @@
 """Graduation of the encoder: each line sits a little beside its place, the same in every turn.
 
-No hook: a test of its own averages the residual of each line over the turns.
+No hook: a test of its own averages where each line passes over the turns, and takes what two speeds have in common.
 """
 
 from rig.model import Coordinate, Effect, Parameter
@@ -9,7 +9,7 @@ from rig.model import Coordinate, Effect, Parameter
 class EncoderGraduation(Effect):
     stage = "reference"
     title = "graduation of the encoder's disk"
-    equation = "θ_k = 2π·k/lines + δ_k, rms of δ_k"
+    equation = "θ_k = 2π·k/lines + δ_k, rms of δ_k where δ runs over many lines"
     places = ("turntable",)
     coordinates = (Coordinate("rms", 1e-5),)
     parameters = (Parameter("rms", "rad", (0.0, 1e-3), (1e-5, 1e-4)),)

@@ -49,6 +49,7 @@ class PlatterRecords:
     gravity: float
     usable: NDArray[np.bool_]  # (c,)
     resting: float  # s at rest, from which the noise is known
+    graduation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the disk's pattern: rms rad, u, evidence
     notes: tuple[str, ...] = ()
 
 

@@ -21,6 +21,15 @@ def signs(runs: Sequence[PlatterRecords]) -> Iterator[Sign]:
         # a line that is missing is no matter of noise
         yield Sign("missed_counts", {"share": lost / lines}, {"share": math.sqrt(lost) / lines}, 1000.0 * lost, because)
 
+    for data in runs:
+        rms, u, evidence = data.graduation
+        if evidence > 0.0:
+            because = (
+                f"the encoder's lines err by {rms:.2g} rad rms in a pattern over many lines, the same at both speeds: "
+                "lines that err each for themselves leave none"
+            )
+            yield Sign("encoder_graduation", {"rms": rms}, {"rms": u}, evidence, because)
+
 
 def lacks(runs: Sequence[PlatterRecords]) -> Iterator[str]:
     """What these runs cannot show."""

@@ -28,6 +28,7 @@ from rig.parts.reference_motion import Shown
 from rig.sensor import Sensor
 from rig.signals import noise
 from rig.signals.encoder import LINES
+from rig.signals.graduation import graduation, line_errors
 from rig.signals.rotation import Edges, Track, edges_of, encoder_settings
 from rig.signals.spectrum import Density, log_bins
 
@@ -62,6 +63,7 @@ class _Record:
     ends: tuple[float, float]  # angle before the first and after the last line, NaN if unknown
     clipped: Mapping[str, int]
     notes: tuple[str, ...] = ()
+    pattern: tuple[float, NDArray[np.complex128]] | None = None
 
 
 def read(runs: Sequence[Recorded]) -> Reading:
@@ -188,6 +190,7 @@ def _moving(body: Mapping[str, Any], found: Windows, edges: Edges, mount: Mappin
     return _Record(
         str(body["label"]), str(body["phase"]), found.names, found.start, int(inside.start), found.means[:, inside],
         kept[0], kept[-1], int(missing.sum()), len(times), mount, (anchor, last), found.clipped, notes,
+        line_errors(edges) if body["phase"] == "hold" else None,
     )  # fmt: skip
 
 
@@ -335,8 +338,14 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
         gravity=reference(records, "gravity", "gravity").value,
         usable=np.array([n not in clipped for n in channels.names]),
         resting=interval * sum(n for one, n in pairs if one.kind == "rest"),
+        graduation=_graduation(found),
         notes=tuple(note for one in found for note in one.notes),
     )
+
+
+def _graduation(found: Sequence[_Record]) -> tuple[float, float, float]:
+    shown = graduation([one.pattern for one in found if one.pattern is not None])
+    return (0.0, 0.0, 0.0) if shown is None else (shown.rms, shown.u, shown.evidence)
 
 
 def _scan_period(records: Recorded) -> float:

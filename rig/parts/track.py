@@ -89,6 +89,7 @@ class TrackRecords:
     jitter: float = 0.0  # standard deviation of the time stamps, as the reference shows it, s
     sampled: float = 0.0  # interval at which it was, s
     noise: tuple[DeviceNoise | None, ...] = ()  # of every channel, if it is known whatever the model
+    files: tuple[str, ...] = ()  # that every record is of, by their labels
     kept: Mask | None = None  # instants of each channel that count, (c, n); all without
     notes: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()

@@ -29,6 +29,15 @@ CYCLES = 6.0  # of the motion, in the stretch of time that is shown
 SHORTEST, LONGEST = 2.0, 10.0  # s, of that stretch
 NOWHERE = 0.1  # of the noise: motion that is not drawn
 PER_DECADE = 10.0  # bins of a spectrum
+HELD: dict[str, Any] = {
+    "facecolor": "none",
+    "edgecolor": "#999999",
+    "hatch": "///",
+    "linewidth": 0.0,
+    "alpha": 0.5,
+    "zorder": 0,
+}
+LEFT_OUT: dict[str, Any] = {"color": "#b00020", "alpha": 0.3, "linewidth": 0.0, "zorder": 0}
 FAINT = {"color": "#888888", "linewidth": 0.7}
 
 
@@ -165,6 +174,8 @@ def followed_of(fit: Fit, number: int, part: TrackedMotion, *, rates: bool) -> F
     moved = part.moved(fit.state.terms)
     own = (moved.rate if rates else moved.force)[channels.axis[rows]]
     signals = [(part.data.observed[rows] - zero) / sensitivity, (volts - zero) / sensitivity, own]
+    if part.data.kept is not None:  # where nothing counts there is no error either
+        signals[0] = np.where(part.data.kept[rows], signals[0], signals[1])
     measured, model, motion = (part.lines(one) * inside for one in signals)
     names, axis = tuple(channels.names[row] for row in rows), tuple(channels.axis[rows].tolist())
     return Followed(names, axis, measured, model, motion, part.variance[rows] / sensitivity**2, inside)
@@ -202,6 +213,7 @@ def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) ->
     below.axhspan(-band, band, color=BAND, zorder=0, label=NOISE)
     below.axhline(0.0, **FAINT)
     below.plot(instants, measured - model, color=colour, linewidth=1.0)
+    _marked(axes, part, one.names[row], some)
     limit = part.data.bands[0 if rates else 1]
     top.set(ylabel=f"{one.names[row]} / ({unit})")
     below.set(ylabel=f"measured − model / ({unit})", xlabel=f"time in the file / s (up to {limit:.3g} Hz)")
@@ -209,6 +221,24 @@ def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) ->
     below.locator_params(axis="x", nbins=7)
     legend(top, 2)
     legend(below, 1)
+
+
+def _marked(axes: Any, part: TrackedMotion, channel: str, some: slice) -> None:
+    """Among the instants that are shown: pieces held out, and rows of the channel or reference that were left out."""
+    data, (top, below) = part.data, axes
+    place = np.concatenate([np.arange(begin, end) for begin, end in data.stretches])[some]
+    first, last = float(data.time[place[0]]), float(data.time[place[-1]])
+    for begin, end in (data.stretches[k] for k in np.flatnonzero(data.held).tolist()):
+        if begin <= place[-1] and end > place[0]:
+            span = max(float(data.time[begin]), first), min(float(data.time[end - 1]), last)
+            below.axvspan(*span, label="held out", **HELD)
+    record = int(np.searchsorted([end for _, end in data.records], place[0], side="right"))
+    for finding in part.faults:
+        other = finding.channel != channel and finding.channel in part.channels.names
+        if finding.where in data.files[record : record + 1] and not other:
+            for since, until in finding.times:
+                if since <= last and until >= first:
+                    top.axvspan(since - data.interval, until + data.interval, label="left out", **LEFT_OUT)
 
 
 def _of_axis(one: Followed, row: int) -> str:

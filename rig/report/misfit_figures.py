@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from rig.diagnose.misfit import Condition, conditions
 from rig.diagnose.misfit_cells import tables
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
+from rig.parts.part import Part
 from rig.report import imported_figures
 from rig.report.platter_figure import turntable
 from rig.report.sweep_figure import shaker
@@ -17,6 +19,7 @@ from rig.report.sweep_figure import shaker
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LINES, WIDEST = 3, 150  # of what is said below a figure, and characters of each
 Drawing = Callable[[Fit, Sequence[int], Sequence[Condition]], "Iterator[tuple[str, Figure]]"]
 
 
@@ -57,8 +60,17 @@ def draw(evidence: Evidence, fit: Fit, folder: Path, kinds: Sequence[str] = ("sv
     figures: dict[str, Figure] = {}
     for noun in (one for one in DRAWINGS if one in numbers):
         for stem, figure in DRAWINGS[noun](fit, numbers[noun], worst):
+            _say_left_out(figure, [fit.parts[number] for number in numbers[noun]])
             figures[_named(stem, figures)] = figure
     return _saved(figures, folder, evidence.simulated, kinds)
+
+
+def _say_left_out(figure: Figure, parts: Sequence[Part]) -> None:
+    """Below: what looks wrong with the records, a line each."""
+    found = list(dict.fromkeys(one.in_words for part in parts for one in part.faults))
+    more = [f"and {len(found) - LINES} more"] if len(found) > LINES else []
+    if said := [textwrap.shorten(one, WIDEST, placeholder=" …") for one in found[:LINES]] + more:
+        figure.supxlabel("\n".join(said), x=0.01, ha="left", color="#b00020", fontsize=7)
 
 
 def _named(stem: str, there: dict[str, Figure]) -> str:

@@ -10,6 +10,7 @@ import foreign_data
 import imported_sweeps
 import numpy as np
 import pytest
+from imported_worlds import Unit, rotation
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from rig.parts.poses import Poses
 from rig.parts.reading.imported import parts_of
 from rig.parts.response import ResponseTable
 from rig.parts.track import TrackedMotion
-from rig.report.imported_figures import following, poses, response
+from rig.report.imported_figures import NOISE, following, poses, response
 from rig.report.misfit_figures import draw
 from rig.shelf import shelf
 
@@ -231,6 +232,30 @@ def test_a_repaired_model_brings_the_spectrum_down_to_the_noise(turned: TrackedM
 
 
 # poses and turns
+
+
+def test_what_was_left_out_is_marked_in_time_and_said_below_and_held_out_pieces_are_hatched(tmp_path: Path) -> None:
+    foreign = rotation(Unit(), 5, rest=0.0, seconds=30.0, channels="r", jitter=1e-4)
+    (made,) = foreign.tables
+    column = made.names.index("gyro_z")
+    made.values[:, column] = np.minimum(made.values[:, column], 1.5)
+    (part,) = parts_of(foreign)[0]
+    assert isinstance(part, TrackedMotion)
+    assert part.data.kept is not None
+    fit = evidence(part).fitted()
+    figure = following(fit, 0, part, [])
+    top, below, _ = figure.axes
+    low, high = top.lines[0].get_xdata()[[0, -1]]
+    red = [(one.get_x(), one.get_x() + one.get_width()) for one in top.patches]
+    cut = [one for fault in part.faults for one in fault.times if one[0] < high and one[1] > low]
+    assert len(red) == len(cut) > 0
+    assert all(a < b and a <= first <= last <= b for (a, b), (first, last) in zip(red, cut, strict=True))
+    inside = np.logical_or.reduce([(top.lines[0].get_xdata() > a) & (top.lines[0].get_xdata() < b) for a, b in cut])
+    whole = np.abs(below.lines[1].get_ydata())
+    assert whole[inside].max() < 3.0 * whole[~inside].max()  # no error is made up where nothing was measured
+    assert {one.get_label() for one in below.patches} <= {NOISE, "held out"}
+    (path,) = draw(evidence(part), fit, tmp_path)
+    assert "gyro_z: clipped at the top" in path.read_text(encoding="utf-8")
 
 
 def test_the_poses_are_off_by_what_is_said_of_them() -> None:

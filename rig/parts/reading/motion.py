@@ -291,6 +291,7 @@ def _joined(foreign: Foreign, pieces: Sequence[_Piece], rotation: Rotation | Non
         turning=np.zeros((3, len(time))), force=np.zeros((3, len(time))), up=np.zeros((3, len(time))),
         gravity=made.gravity.value, records=records, stretches=stretches, held=held, bands=bands, notes=tuple(notes),
         blind=_BLIND, temperature=temperature, supply=supply, kept=None if kept.all() else kept,
+        files=tuple(piece.table.label for piece, _, _ in runs),
     )  # fmt: skip
     if rotation is None:
         rate, turning, force, up = (

@@ -205,6 +205,10 @@ class Effect:
         names = [c.name for c in self.coordinates]
         return [dict(zip(names, one, strict=True)) for one in itertools.product(*(c.starts for c in self.coordinates))]
 
+    def at_peak(self, frequency: float) -> list[dict[str, float]]:
+        """Coordinates to start from if it is what makes a response peak at this frequency, Hz; by default none."""
+        return []
+
     def inverse(self, at: Values) -> Inverse:
         """How it is undone in what a unit shows: see `rig.correction.inverse` for the kinds."""
         return Nothing(self.elsewhere) if self.elsewhere else Lost(self.lost)

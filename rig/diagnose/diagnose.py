@@ -187,10 +187,18 @@ def _step(
             return _by_test(evidence, current, finding), ()
     scored = search.scores(current, search.possible(shelf, current), memory)
     least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
-    choices = _choices(current, scored, least=least)
-    if not choices or choices[0].merit <= 0.0 or choices[0].gain < least:
+    choices = _choices(current, scored, least=least if adequacy.adequate(current) else 0.0)
+    if not choices or choices[0].merit <= 0.0:
+        return None, tuple(scored)
+    first = choices[0]
+    if first.gain < least and not (first.gain > QUARTER * adequacy.excess(current) and _leaves_noise(first)):
         return None, tuple(scored)
     return _taken(current, choices), tuple(scored)
+
+
+def _leaves_noise(choice: Choice) -> bool:
+    """Whether nothing is left beside it: then what it removes is no imprecision of an earlier effect."""
+    return choice.full and choice.fit is not None and adequacy.adequate(choice.fit)
 
 
 def _taken(current: Fit, choices: Sequence[Choice]) -> Step:

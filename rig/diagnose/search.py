@@ -28,6 +28,8 @@ REACH = 0.7  # of the best's gain: a quick refit that removes less was never see
 WIDTH = 1.0  # decades: by how much sizes scatter beyond those that are usual
 ROUNDS = 8
 FIRST_ROUNDS = 4  # with all columns afresh; those within reach go on
+SHORT = 0.5  # of what a score promised: a quick refit that removes less went astray
+AWAY = (10.0, 100.0)  # steps of a coordinate: not straight any more
 MANY = 8  # starts in a row: of more, every second is tried first
 SETTLED = 0.02  # of χ²
 
@@ -163,28 +165,45 @@ def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> l
 
 
 def _scored(sight: _Sight, term: Term) -> Score:
-    starts = _starts(sight.found, term)
+    """The best of its starts; of many in a row every second is tried, and those beside the best of these."""
+    parts = [n for n, p in enumerate(sight.found.parts) if p.here([term]) and len(p.channels.of(term.on))]
+    starts = _starts(sight, term, parts)
     row = len(starts) > MANY and not any(one.searched for one in term.effect.coordinates)
     made = {place: _from(sight, term.moved(**starts[place])) for place in range(row, len(starts), 1 + row)}
     if row:
         tops = sorted(made, key=lambda place: -made[place].gain)[:2]
         near = {place + way for place in tops for way in (-1, 1)} & set(range(len(starts)))
         made |= {place: _from(sight, term.moved(**starts[place])) for place in near}
-    steps = max(len(starts), 1)
-    best = max(made.values(), key=lambda one: one.gain, default=None)
+    more = [_from(sight, term.moved(**start)) for start in _more_starts(sight, term, parts)]
+    tried, steps = [*made.values(), *more], max(len(starts) + len(more), 1)
+    best = max(tried, key=lambda one: one.gain, default=None)
     if best is None or best.gain <= 0.0:
         best = Score(term, term, 0.0, 0.0, steps)
-    visible, size = (one.visible for one in made.values()), (one.size for one in made.values())
+    visible, size = (one.visible for one in tried), (one.size for one in tried)
     return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]))
 
 
-def _starts(found: Fit, term: Term) -> list[dict[str, float]]:
+def _starts(sight: _Sight, term: Term, parts: Sequence[int]) -> list[dict[str, float]]:
     """Starts in the part that has most of the channels concerned."""
-    fitting_parts = [p for p in found.parts if p.here([term]) and len(p.channels.of(term.on))]
-    if not fitting_parts:
+    if not parts:
         return []
-    chosen = min(fitting_parts, key=lambda part: not part.excites(term.on))
-    return term.effect.starts(chosen.reference, term.on)
+    there = [sight.found.parts[number] for number in parts]
+    return term.effect.starts(min(there, key=lambda part: not part.excites(term.on)).reference, term.on)
+
+
+def _more_starts(sight: _Sight, term: Term, parts: Sequence[int]) -> list[dict[str, float]]:
+    """At the peaks of every response, and beside another of the dynamics at sizes of its own: at nought a lag looks
+    the same as a delay.
+    """
+    starts: list[dict[str, float]] = []
+    if term.effect.at_peak(1.0):
+        tops = sorted({f for number in parts for f in sight.found.parts[number].peaks(sight.raws[number])})
+        starts += [start for f in tops for start in term.effect.at_peak(f)]
+    theirs = [one for one in sight.found.state.terms if one.effect.stage == "dynamics" and not one.prior]
+    if term.effect.stage == "dynamics" and any(one.on == term.on for one in theirs):
+        steps = {one.name: one.step for one in term.effect.coordinates}
+        starts += [{name: share * step for name, step in steps.items()} for share in AWAY]
+    return starts
 
 
 def _from(sight: _Sight, term: Term) -> Score:
@@ -235,7 +254,13 @@ def refitted(found: Fit, score: Score) -> Candidate:
 
 
 def _refitted(sight: _Sight, score: Score) -> Candidate:
-    return _afresh(sight.found, score) if score.visible < NARROW else _quickly(sight, score)
+    if score.visible < NARROW:
+        return _afresh(sight.found, score)
+    quick = _quickly(sight, score)
+    if quick.gain > SHORT * score.gain or not any(score.start.at.values()):
+        return quick
+    afresh = _afresh(sight.found, score)  # far from its start the model's own columns are others
+    return afresh if afresh.gain > quick.gain else quick
 
 
 def _afresh(found: Fit, score: Score) -> Candidate:

@@ -6,6 +6,8 @@ import numpy as np
 
 from rig.model import Array, Complexes, Coordinate, Effect, Filtered, Inverse, Parameter, Values
 
+DAMPINGS = (0.01, 0.1)  # where a fit may start at a peak
+
 
 class Resonance(Effect):
     stage = "dynamics"
@@ -26,6 +28,9 @@ class Resonance(Effect):
 
     def response(self, frequency: Array, at: Values) -> Complexes:
         return np.asarray(1.0 / (1.0 - at["square"] * frequency**2 + 1j * at["loss"] * frequency))
+
+    def at_peak(self, frequency: float) -> list[dict[str, float]]:
+        return [self.from_physical({"frequency": frequency, "damping": one}) for one in DAMPINGS]
 
     def inverse(self, at: Values) -> Inverse:
         return Filtered(lambda frequency: self.response(frequency, at))

@@ -32,6 +32,7 @@ from rig.parts.remainder import (
     Sign,
 )
 from rig.parts.ripple import Floor
+from rig.signals.peaks import peaks
 
 STEP = 1e-4  # relative, of sensitivities and poles; V, of zeros
 ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
@@ -243,6 +244,16 @@ class Part(ABC):
         throughout. `change` (rows,) is what the effect moves, `left` (rows,) what may be taken for noise.
         """
         return 1.0
+
+    def amplified(self, raw: NDArray[np.inexact]) -> Iterator[tuple[Array, Array]]:
+        """Of every channel that follows the drive frequencies, Hz, and how many times larger its output is there than
+        predicted, both (p,); `raw` is the prediction.
+        """
+        return iter(())
+
+    def peaks(self, raw: NDArray[np.inexact]) -> set[float]:
+        """Where a channel's response stands out of what is predicted, Hz."""
+        return {float(f) for frequency, size in self.amplified(raw) for f in peaks(frequency, size)}
 
     # what the rows stand for
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -108,6 +108,9 @@ class ResponseTable(Part):
         if only is not None:
             channels, local = channels.only(only), local.only(only)
         return self._logarithm(volts(moved, channels, local, terms)[..., 1] / self.data.excitation)
+
+    def amplified(self, raw: NDArray[np.inexact]) -> Iterator[tuple[Array, Array]]:
+        yield self.data.frequency, np.exp((self.observed - raw).real[0])
 
     def _logarithm(self, ratio: NDArray[np.inexact]) -> Complexes:
         """Complex logarithm, its imaginary part unwrapped along frequency, (1, p)."""

@@ -351,6 +351,13 @@ class Sweep(Part):
     ) -> Iterator[tuple[str, dict[int, float]]]:
         return sweep_laws.laws(self, self.data, sweep_laws.Asked(component, tuple(rows), rest), score)
 
+    def amplified(self, raw: NDArray[np.inexact]) -> Iterator[tuple[Array, Array]]:
+        """Of accelerometers along the drive, in records that it drives."""
+        driven, shown = self.data.driven, np.abs(raw[..., 1])
+        follows = ~self.channels.rates & (self.data.directions[self.channels.axis, 0] != 0.0)
+        for c in np.flatnonzero(follows & (shown[:, driven].min(axis=1, initial=1.0) > 0.0)):
+            yield self.data.frequency[driven], np.abs(self.data.observed[c, driven, 1]) / shown[c, driven]
+
     def growth(self, domain: str, row: int, found: Prediction) -> Growth | None:
         return sweep_laws.growth(self.data, domain, row, found)
 

@@ -123,7 +123,8 @@ class NoiseSpectrum(Part):
             if len(self._made) > REMEMBERED:
                 self._made.clear()
             added = [self._added(one, local, terms) for one in self._all]
-            at = self._levels.with_added(self._start, added[0]) if terms else self._start
+            nothing = np.zeros_like(self._start)  # a line that is not in the model drags the levels far away
+            at = self._levels.with_added(nothing, added[0]) if terms else self._start
             clean = [mean_density(self.data.sheet, self.data.rate, one, at) for one in self._all]
             self._made[key] = np.concatenate(
                 [*(with_added(one, more) for one, more in zip(clean, added, strict=True)), at], axis=1

@@ -138,7 +138,7 @@ class Levels:
     def with_added(self, start: Array, added: Array) -> Array:
         """The same with mean densities added to the bands, (c, b) unit²/Hz."""
         at = start
-        for _ in range(AGAIN):
+        for _ in range(AGAIN if start.any() else STEPS):
             at = self._step(at, added)
         return at
 

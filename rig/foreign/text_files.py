@@ -85,7 +85,7 @@ class _Lines:
 
     def __init__(self, raw: bytes, how: Csv) -> None:
         self.how = how
-        self.lines = _decoded(raw).splitlines()
+        self.lines = re.split(r"\r\n|\r|\n", _decoded(raw))  # what else splits a text is a sign of some encoding here
         self.first, self.names, self.units = self._begin()
 
     def rows(self, skip: int) -> Iterator[tuple[int, list[str]]]:

@@ -209,3 +209,12 @@ def test_a_manifest_says_where_the_names_stand(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text(made.resting_manifest("d.csv"), encoding="utf-8")
     with pytest.raises(ConfigError, match="found no column 't_s'"):
         open_manifest(tmp_path / "m.yaml")
+
+
+def test_a_sign_of_a_windows_code_page_in_a_comment_splits_no_line() -> None:
+    """An ellipsis is byte 0x85 there, which splits a text that is read as Latin-1."""
+    raw = b"# gyro \x85 z up\nt,a\n0,1\n1,2\n"
+    assert names(raw, "csv", Csv()) == ("t", "a")
+    assert columns(raw, "csv", ["a"]).tolist() == [[1.0], [2.0]]
+    assert columns(raw.replace(b"\n", b"\r\n"), "csv", ["a"]).tolist() == [[1.0], [2.0]]
+    assert columns(raw.replace(b"\n", b"\r"), "csv", ["a"]).tolist() == [[1.0], [2.0]]

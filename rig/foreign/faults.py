@@ -57,11 +57,14 @@ def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
     rest = values.copy()
     for one in found:
         rest[one.rows] = math.nan  # stands still and ends in a kink for a reason that is known
+    frozen = list(_frozen(data, table, column, rest))
+    for one in frozen:
+        rest[one.rows] = math.nan
     if column.quantity in SIGNALS:
         found += _outliers(column, rest, data.time(table), _beside(data, table, column), _pieces(data, values))
     if column.quantity == "angle":
         found += _steps(data, table, column, values)
-    return [*found, *_frozen(data, table, column, rest)]
+    return [*found, *frozen]
 
 
 def without_faults(data: Foreign, table: Table, column: Column) -> Array:

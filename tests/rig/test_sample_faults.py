@@ -109,6 +109,13 @@ def test_what_is_no_measurement_is_found_in_its_rows_and_nowhere_else(case: str)
     assert total == pytest.approx(rows, rel=0.05) if rows else total > 100
 
 
+def test_where_a_stuck_channel_lets_go_no_row_is_blamed_besides() -> None:
+    clean = turned()
+    for first in range(1500, 5000, 250):
+        (one,) = found(spoilt(clean, "gyro_z", put(list(range(first, first + 150)), 0.123)))
+        assert (one.kind, one.stretches) == ("frozen", ((first, first + 149),))
+
+
 def test_an_encoder_that_rests_and_a_sine_that_comes_back_to_where_it_was_are_no_faults() -> None:
     slow = rotation(Unit(), 4, rest=30.0, channels="r", jitter=1e-4, steps=math.radians(1.0))
     assert not found(slow)

@@ -77,7 +77,13 @@ def without_faults(data: Foreign, table: Table, column: Column) -> Array:
     return values
 
 
-def bridged(values: Array, rows: Rows) -> Array:
+def bridged(data: Foreign, table: Table, column: Column) -> Array:
+    """A column in SI, (n,), with straight lines in place of samples that are no measurement."""
+    rows = [one.rows for one in faults(data, table, column)]
+    return lined(data.si(table, column), np.concatenate(rows)) if rows else data.si(table, column)
+
+
+def lined(values: Array, rows: Rows) -> Array:
     """Values (n,) with a straight line in place of some rows."""
     good = np.ones(len(values), np.bool_)
     good[rows] = False
@@ -126,7 +132,11 @@ def _outliers(
         yield _of(column, "marks", mark.rows, text + advice)
         rest[mark.rows] = math.nan
     single = [here.start + isolated(rest[here], time[here]) for here in pieces]
-    rows = np.unique(np.concatenate([outliers.alone(rest), *single]))
+    gaps = [(first, n) for first, n in runs(~np.isfinite(values)) if n > outliers.LONGEST]
+    beside_gaps = np.concatenate([np.zeros(0, np.intp), *(np.array([first - 1, first + n]) for first, n in gaps)])
+    rows = np.setdiff1d(
+        np.concatenate([outliers.alone(rest), *single]), beside_gaps
+    )  # what it was held against is gone
     rows = rows[~np.any([jumping(one, time)[rows] for one in beside], axis=0)] if beside and len(rows) else rows
     if n := len(rows):
         text = f"{column.channel}: {n} row{' stands' if n == 1 else 's stand'} alone, far from the rows beside"

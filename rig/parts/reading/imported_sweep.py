@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rig import units
 from rig.errors import BadInput
-from rig.foreign.faults import bridged, faults
+from rig.foreign.faults import faults, lined
 from rig.foreign.manifest import Column, Manifest
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
@@ -138,7 +138,7 @@ def _whole(foreign: Foreign, table: Table, columns: Sequence[Column]) -> tuple[A
             where = f"{foreign.run} {table.label}, {one.channel}"
             wanted = f"wanted {MOST_FAULTY:.0%} at most"
             raise BadInput(f"{where}: found {share:.0%} of the rows that are no measurement, {wanted}")
-        values.append(bridged(column, np.flatnonzero(flags)) if flags.any() else column)
+        values.append(lined(column, np.flatnonzero(flags)) if flags.any() else column)
         faulty.append(flags)
     return np.stack(values, axis=1), np.stack(faulty, axis=1)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.faults import without_faults
+from rig.foreign.faults import bridged, without_faults
 from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
@@ -79,7 +79,8 @@ def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: 
     time = foreign.time(table)
     rate = (len(time) - 1) / float(time[-1] - time[0])
     channels = _channels(columns, foreign.manifest.unit.serial)
-    intervals, notes = _intervals(foreign, table, numbers / channels.sensitivity[:, None], channels, rate, find)
+    shown = np.array([bridged(foreign, table, one) for one in columns])
+    intervals, notes = _intervals(foreign, table, shown, channels, rate, find)
     if by_file:
         intervals = [_marked(one, table.held_out) for one in intervals]
     else:

@@ -88,6 +88,7 @@ def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(d
         assert set(one) == {
             "effect", "on", "class", "probability", "error_after", "heldout_error_after", "parameters", "plausible",
             "because", "separate_by", "step", "taken", "worst_after",
+            "not_known_apart", "depends_on_band",
         }  # fmt: skip
         assert 0.0 <= one["probability"] <= 1.0
         assert one["effect"] in one["class"]

@@ -58,6 +58,9 @@ class Assumed:
         return f"{self.words} ({self.name}, SHA-256 {self.digest})" if self.name else self.words
 
 
+FEWEST = 4  # rows whose ratio widens an uncertainty
+
+
 @dataclass(frozen=True)
 class Pull:
     """What one prior does to an estimate: name of the effect (or parameter), standard uncertainty, ∂estimate/∂prior."""
@@ -99,9 +102,14 @@ class Experiment:
 
     @cached_property
     def missed(self) -> tuple[adequacy.Group, ...]:
+<<<<<<< HEAD
         """Groups of rows that the model misses."""
         standing = tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count > 1)
         return (*standing, *adequacy.unsteady(self.fit))
+=======
+        """Groups of rows that the model misses, of rows enough for their ratio to say by how much."""
+        return tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count >= FEWEST)
+>>>>>>> 60d00b7 (Hold out of levels that are measured once, and say a mean's error as that of a mean)
 
     @cached_property
     def _weights(self) -> Array:

@@ -127,8 +127,8 @@ def _noise_at(found: Fit, where: str) -> tuple[float, str]:
     return (math.sqrt(sum(square for square, _, _ in sums) / total), sums[0][2]) if total else (math.nan, "")
 
 
-def _sums(found: Fit, number: int, where: str) -> Iterator[tuple[float, int, str]]:
-    """Sum of variances of a place in a part, SI², over how many rows, and their unit."""
+def _sums(found: Fit, number: int, where: str) -> Iterator[tuple[float, float, str]]:
+    """Sum of variances of a place in a part, SI², over how many numbers, and their unit."""
     part, noise = found.parts[number], None
     used = found.rest(number).used.reshape(len(part.row_names), -1)
     for row, name in enumerate(part.row_names):
@@ -136,7 +136,7 @@ def _sums(found: Fit, number: int, where: str) -> Iterator[tuple[float, int, str
             if f"{name}, {domain}" == where:
                 noise = part.noise() if noise is None else noise
                 here = mask & used[row]
-                yield float(np.sum(noise[row][here])), int(np.count_nonzero(here)), part.unit(name)
+                yield float(np.sum(noise[row][here])), part.numbers_in(here), part.unit(name)
 
 
 def heldout_rows(found: Fit) -> Mask:

@@ -222,6 +222,10 @@ class Part(ABC):
         """How many numbers the squares of a name's rows add up over, for its rms error, (names,)."""
         return np.asarray(self.counted.reshape(len(self.row_names), -1).sum(axis=1), np.float64)
 
+    def numbers_in(self, mask: Mask) -> float:
+        """How many the variances of some rows of a name add up over, mask (width,)."""
+        return float(np.count_nonzero(mask))
+
     def errors(self, left: Array) -> Array:
         """Sum of squares of what is left over in every name's rows, referred to the input, SI², (names,).
 

@@ -231,6 +231,11 @@ class Platter(Part):
         """Windows."""
         return np.asarray(self.width * self.data.usable, np.float64)
 
+    def numbers_in(self, mask: Mask) -> float:
+        """A mean stands for all windows of its stretch."""
+        lengths = np.array([end - begin for begin, end in self.data.stretches])
+        return float(np.sum(np.where(self.of.frequency_of > 0.0, 1, lengths[self.of.stretch_of])[mask]))
+
     def errors(self, left: Array) -> Array:
         return np.full(len(self.row_names), np.nan)
 

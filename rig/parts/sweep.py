@@ -13,6 +13,7 @@ and three times the mains frequency. What makes them uncertain:
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -33,6 +34,8 @@ from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Revers
 from rig.parts.ripple import ELSEWHERE, Floor, said
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
 from rig.signals.blocks import spread, unmixed
+
+SEVERAL = 3  # records of one level, from which it is a state of its own
 
 
 class Sweep(Part):
@@ -255,8 +258,9 @@ class Sweep(Part):
         data = self.data
         if data.held is not None:
             return data.held
-        levels = [level if driven else "" for level, driven in zip(data.level, data.driven, strict=True)]
-        return spread(levels)
+        levels = [level if driven else "rest" for level, driven in zip(data.level, data.driven, strict=True)]
+        often = Counter(levels)
+        return spread([level if often[level] >= SEVERAL or level == "rest" else "driven" for level in levels])
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:

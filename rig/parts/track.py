@@ -497,6 +497,11 @@ class TrackedMotion(Part):
     def noise(self) -> Array:
         return np.asarray(self.variance / self.channels.sensitivity[:, None] ** 2)
 
+    def numbers_in(self, mask: Mask) -> float:
+        """A mean stands for all instants of its stretch."""
+        lengths = np.array([end - begin for begin, end in self.data.stretches])
+        return float(np.sum(np.where(self.frequency_of > 0.0, 1, lengths[self.stretch_of])[mask]))
+
     def numbers(self) -> Array:
         inside = np.concatenate([np.arange(begin, end) for begin, end in self.data.stretches])
         kept = self.data.kept

@@ -20,6 +20,7 @@ from rig.diagnose.diagnose import diagnose
 from rig.fit import adequacy
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence, evidence_of
+from rig.fit.quality import errors_of
 from rig.fit.tails import deviate, limit, log_tail
 from rig.parts.part import Part
 from rig.parts.platter import Platter
@@ -115,6 +116,16 @@ def test_nothing_that_is_held_out_is_in_a_row_that_is_fitted(kind: str, request:
     change = part.target - type(part)(replace(part.data, observed=shifted)).target
     assert np.abs(change[part.held_out & part.counted]).max() > 1.0
     assert np.abs(change[~part.held_out]).max() < 1e-6
+
+
+def test_the_error_of_a_mean_is_that_of_the_mean_and_not_of_a_window(turntable: Platter) -> None:
+    evidence = Evidence((turntable,), (), ("one",), "made", True, ())
+    domain, name = "mean, at rest", turntable.row_names[0]
+    place = errors_of(evidence, evidence.fitted()).at(evidence.fitted(), f"{name}, {domain}")
+    lengths = [end - begin for begin, end in turntable.data.stretches]
+    variance = turntable.noise()[0][: len(lengths)] / lengths
+    here = turntable.domains()[domain][: len(lengths)]
+    assert place.error == pytest.approx(place.ratio * math.sqrt(np.mean(variance[here])), rel=0.1)
 
 
 def test_tails_have_the_published_points_of_f_and_of_chi_squared() -> None:

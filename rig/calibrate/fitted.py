@@ -102,14 +102,9 @@ class Experiment:
 
     @cached_property
     def missed(self) -> tuple[adequacy.Group, ...]:
-<<<<<<< HEAD
-        """Groups of rows that the model misses."""
-        standing = tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count > 1)
-        return (*standing, *adequacy.unsteady(self.fit))
-=======
         """Groups of rows that the model misses, of rows enough for their ratio to say by how much."""
-        return tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count >= FEWEST)
->>>>>>> 60d00b7 (Hold out of levels that are measured once, and say a mean's error as that of a mean)
+        standing = tuple(one for one in adequacy.standing(adequacy.groups(self.fit)) if one.count >= FEWEST)
+        return (*standing, *adequacy.unsteady(self.fit))
 
     @cached_property
     def _weights(self) -> Array:

@@ -119,12 +119,11 @@ def test_what_explains_nothing_of_what_is_held_out_is_not_offered() -> None:
     """A square of the drive in the rows that are fitted, and none in those held out."""
     document = {**SWEEP, "points": 8}
     bent, clean = (evidence_of([_measured(document, hidden)]) for hidden in ([{"name": "bent"}], []))
-    (part,), (other,) = bent.parts, clean.parts
-    assert isinstance(part, Sweep)
-    assert isinstance(other, Sweep)
+    part, other = (next(one for one in of.parts if isinstance(one, Sweep)) for of in (bent, clean))
     held = part.held_out.reshape(len(part.channels.names), len(part.data.index), -1)[:, :, :1]
     observed = np.where(held, other.data.observed, part.data.observed)
-    mixed = replace(bent, parts=(Sweep(replace(part.data, observed=observed)),))
+    own = Sweep(replace(part.data, observed=observed))
+    mixed = replace(bent, parts=tuple(own if one is part else one for one in bent.parts))
     found = describe(mixed, mixed.fitted())
     assert found.held is not None
     assert found.held[1] > found.held[0]

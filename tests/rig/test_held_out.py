@@ -46,23 +46,20 @@ def changed(evidence: Evidence, factor: float) -> Evidence:
     return replace(evidence, parts=tuple(parts))
 
 
-def measured(document: Mapping[str, object]) -> Part:
-    (part,) = evidence_of([fast_bench.measure(dict(document), fast_bench.world(3, []))]).parts
-    return part
+def measured(document: Mapping[str, object]) -> tuple[Part, ...]:
+    return evidence_of([fast_bench.measure(dict(document), fast_bench.world(3, []))]).parts
 
 
 @pytest.fixture(scope="module")
 def sweep() -> Sweep:
-    part = measured({"procedure": "frequency_sweep", "axis": "x", "points": 8})
-    assert isinstance(part, Sweep)
-    return part
+    parts = measured({"procedure": "frequency_sweep", "axis": "x", "points": 8})
+    return next(part for part in parts if isinstance(part, Sweep))
 
 
 @pytest.fixture(scope="module")
 def turntable() -> Platter:
-    part = measured({"procedure": "turntable", "revolutions": 10, "rest": "30 s"})
-    assert isinstance(part, Platter)
-    return part
+    parts = measured({"procedure": "turntable", "revolutions": 10, "rest": "30 s"})
+    return next(part for part in parts if isinstance(part, Platter))
 
 
 def shares(states: Sequence[object], held: NDArray[np.bool_]) -> dict[object, tuple[int, float]]:

@@ -131,15 +131,14 @@ def _pairs(count: int, series: str) -> Iterator[Case]:
 
 
 def slice_of_all() -> list[Case]:
-    """Thirty worlds that the test suite looks at: clean ones, and effects that are easily strong enough to be named.
+    """Worlds that the test suite looks at: clean ones, and effects that are easily strong enough to be named.
 
     Most are of the shaker, whose runs take less time to simulate.
     """
-    clean = [Case("clean", "shaker", (), n, "slice") for n in range(5)] + [Case("clean", "turntable", (), 0, "slice")]
-    names = [("shaker", name, 0) for name in NAMES["shaker"]]
-    names += [("shaker", name, 1) for name in NAMES["shaker"][:5]]
-    names += [("turntable", name, 0) for name in ("asymmetry", "encoder_eccentricity", "platen_tilt", "warm_up")]
-    return clean + [Case("one", bench, (name,), n, "slice", LEAST_EASY) for bench, name, n in names]
+    clean = [Case("clean", "shaker", (), n, "slice") for n in range(2)] + [Case("clean", "turntable", (), 0, "slice")]
+    names = [("shaker", name) for name in NAMES["shaker"]]
+    names += [("turntable", name) for name in ("asymmetry", "encoder_eccentricity", "platen_tilt", "warm_up")]
+    return clean + [Case("one", bench, (name,), 0, "slice", LEAST_EASY) for bench, name in names]
 
 
 def drawn(case: Case) -> Answer:

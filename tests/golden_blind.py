@@ -1,4 +1,4 @@
-"""The thirty blind worlds of the suite, diagnosed, and that in the form in which it is kept beside other numbers."""
+"""The blind worlds of the suite, diagnosed, and that in the form in which it is kept beside other numbers."""
 
 from __future__ import annotations
 

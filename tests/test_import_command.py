@@ -109,7 +109,7 @@ REAL = {
     "broad-07": ["nothing looks wrong with the data"],
     "xsens-multiposition": ["contradict gravity", "times what is stated"],
     "ferraris-session": ["nothing looks wrong with the data"],
-    "uiuc-pitch-medium": ["nothing looks wrong with the data"],
+    "uiuc-pitch-medium": ["acc_y: 6 rows stand alone, far from the rows beside"],
 }
 
 

@@ -116,7 +116,7 @@ def test_next_says_what_was_not_measured_when_nothing_is_open(investigated: Any,
     text = said(runs, "next", name, "--bench", str(bench)).splitlines()
     assert text[0] == "nothing is open between two effects: the model leaves nothing but noise in these runs"
     wanted = f"rig turntable --all --bench {bench} --runs {runs}"
-    assert any(line.split("  ")[-1] == wanted for line in text)
+    assert any(line.endswith(f"  {wanted}") for line in text)
     assert text[-1] == f"next: {wanted}"
     found = asked(runs, "next", name, "--bench", str(bench))
     assert found["measurements"] == []

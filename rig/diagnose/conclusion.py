@@ -86,7 +86,7 @@ class Candidate:
 class Excluded:
     """An effect that the data exclude in a step: the error that it would leave (noise = 1), and where most.
 
-    Without an error where it was not refitted, as it came nowhere near.
+    Without an error where it was not refitted, as it removes far less.
     """
 
     step: int
@@ -231,7 +231,7 @@ def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:
             if choice.full and fit is not None:
                 yield _left(diagnosis, number, choice, on_all_rows(fit))
             else:
-                yield Excluded(number, choice.term.key, None, f"it came nowhere near what {step.taken.name} removes")
+                yield Excluded(number, choice.term.key, None, f"it removes far less than {step.taken.name}")
 
 
 def _left(diagnosis: Diagnosis, number: int, choice: Choice, fit: Fit) -> Excluded:

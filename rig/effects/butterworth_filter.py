@@ -16,6 +16,7 @@ class ButterworthFilter(Effect):
     parameters = (Parameter("corner", "Hz", (0.0, math.inf), (1000.0, 5000.0)),)
     missing = "the phase lags as 0.416·f/corner of a turn while the gain only falls as (f/corner)⁸/2, at every level"
     confused_with = ("delay", "bessel_filter", "moving_average", "first_order_lag", "resonance")
+    rarity = 0.5  # far above the band it shows nothing that a plain delay does not
     separate_by = "a sweep past the corner: the gain of the filter falls there, that of a delay does not"
     source = "error sources S14; Butterworth, Wireless Engineer 7 (1930)"
 

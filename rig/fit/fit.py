@@ -200,14 +200,17 @@ class Fit:
 
 
 def inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix, with columns scaled; directions that nothing determines get none of it."""
+    """Inverse of a normal matrix, with columns scaled; directions that nothing determines, or that have no derivative,
+    get none of it.
+    """
     size = np.sqrt(np.diag(normal))
-    seen = size > 0.0
+    seen = np.isfinite(size) & (size > 0.0)
+    both = np.outer(seen, seen)
     size = np.where(seen, size, 1.0)
-    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    values, vectors = np.linalg.eigh(np.where(both, normal, 0.0) / np.outer(size, size))
     kept = values > NEGLIGIBLE * values[-1]
     scaled = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return np.asarray(np.where(np.outer(seen, seen), scaled / np.outer(size, size), 0.0))  # not even by rounding
+    return np.asarray(np.where(both, scaled / np.outer(size, size), 0.0))  # not even by rounding
 
 
 def predicted(parts: Sequence[Part], state: State) -> list[NDArray[np.inexact]]:

@@ -39,11 +39,16 @@ SIGNALS = ("acceleration", "rate", "voltage", "unstated")
 
 def faults(data: Foreign, table: Table, column: Column) -> list[Finding]:
     """What is wrong with single samples of a column of a file that is sampled in time: with when, and left out."""
-    accepted = column.findings == "accepted"
-    return [
-        replace(data.located(table, replace(one, where=table.label)), left_out=True, accepted=accepted)
-        for one in _found(data, table, column)
-    ]
+    key, accepted = (id(table), column.channel), column.findings == "accepted"
+    if key not in data.noticed or data.noticed[key][0] is not table:
+        data.noticed[key] = (
+            table,
+            tuple(
+                replace(data.located(table, replace(one, where=table.label)), left_out=True, accepted=accepted)
+                for one in _found(data, table, column)
+            ),
+        )
+    return list(data.noticed[key][1])
 
 
 def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
@@ -269,7 +274,9 @@ def _steps(data: Foreign, table: Table, column: Column, values: Array) -> list[F
     usual = float(np.median(later[later > 0.0])) if (later > 0.0).any() else math.inf
     moved[(np.diff(there) > 1) | ~((later > 0.0) & (later < GAP * usual))] = math.nan  # it may have turned meanwhile
     at, since = data.time(table)[there][1:], np.diff(data.time(table)[there])
-    out = np.union1d(outliers.alone(moved), isolated(np.where(since > 0.0, moved / since, math.nan), at))
+    # by the stamps and from row to row: where stamps jitter and readings do not, a short interval is no leap
+    by_time, by_row = isolated(np.where(since > 0.0, moved / since, math.nan), at), isolated(moved, at)
+    out = np.union1d(outliers.alone(moved), np.intersect1d(by_time, by_row))
     # a single wrong reading jumps there and back: that is no step
     pairs = [
         k for k in out if not any(j in out and abs(moved[j] + moved[k]) < 0.2 * abs(moved[k]) for j in (k - 1, k + 1))

@@ -62,6 +62,10 @@ class Foreign:
     tables: tuple[Table, ...]
     found: tuple[Finding, ...]  # what was found wrong with the files on import
     lines: Mapping[str, int] = field(default_factory=dict)  # of the manifest, in which a channel is named
+    noticed: dict[tuple[int, str], tuple[Table, tuple[Finding, ...]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """What was found in single samples, by table and channel: looked for once."""
 
     def si(self, table: Table, column: Column) -> Array:
         """One column in SI, (n,): (number − zero) ÷ numbers per SI unit; NaN where the file has none."""

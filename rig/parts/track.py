@@ -38,6 +38,7 @@ ALLOWANCE = 0.2
 KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misfit, beside what its fit left open
 WIDER = 1.5  # of the band: what the reference lets through of its noise
 NEAR = 5  # instants that a filter ties to each other
+STANDS = 0.1  # of a channel's rms: less is no motion
 TELLS = 10.0  # standard deviations of a channel's motion in a stretch, with which it has a gain of its own
 APART = 3600.0  # s between two files, of which nobody knows the order
 
@@ -517,7 +518,8 @@ class TrackedMotion(Part):
             each = self.stretch_of[:, None] == np.arange(len(self._frequencies))
             columns = each * rows[row][:, None]
             sizes = np.linalg.norm(columns, axis=0)
-            if (tell := sizes > TELLS).sum() > 1:
+            tell = (sizes > TELLS) & self._throughout(own[row])
+            if tell.sum() > 1:
                 found = np.zeros((len(channels.names), self.width, int(tell.sum())))
                 found[row] = columns[:, tell] / sizes[tell]
                 begin = np.array([self.data.time[first] for first, _ in self.data.stretches])[tell]
@@ -525,6 +527,11 @@ class TrackedMotion(Part):
                 apart = np.linalg.qr(np.stack([sizes[tell], sizes[tell] * late], axis=1), mode="complete")[0]
                 for words, some in (("its gain in the course of time", apart[:, 1:]), ("a trend", apart[:, 1:2])):
                     yield name, words, found.reshape(self.rows, -1) @ some
+
+    def _throughout(self, own: Array) -> Mask:
+        """Stretches that move most of the time: where motion begins, what the reference smooths looks like a gain."""
+        usual = STANDS * float(np.sqrt(np.mean(own**2)))
+        return np.array([np.median(np.abs(own[first:last])) > usual for first, last in self.data.stretches])
 
     def shapes(self, component: str) -> Mapping[str, Array]:
         """The motion along each axis, its rate of change, that of the other axes, and squares, each scaled to one."""

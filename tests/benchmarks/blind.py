@@ -130,7 +130,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--page", metavar="FILE", help="where the tables are written (table.md in the folder)")
     parser.add_argument("--series", default="1", help="another name draws other worlds")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="P", help="all cores")
-    parser.add_argument("--slice", metavar="FILE", help="only draw the thirty worlds of the test suite anew")
+    parser.add_argument("--slice", metavar="FILE", help="only draw the worlds of the test suite anew")
     return parser.parse_args()
 
 

@@ -1,4 +1,4 @@
-"""A slice of the blind test: thirty worlds whose answers were drawn once, diagnosed from their records alone.
+"""A slice of the blind test: twenty-two worlds whose answers were drawn once, diagnosed from their records alone.
 
 The whole of it is `make blind`. Thresholds are such that a diagnosis that is broken anywhere misses them.
 """
@@ -27,7 +27,7 @@ import rig
 from fixtures import strength
 from fixtures.shelf import SHELF
 
-EXACT = 23  # of 24 hidden effects; 21 if lags and delays are turned the wrong way, 4 if means count as independent
+EXACT = 18  # of 19 hidden effects; far fewer if lags and delays are turned the wrong way, or means count as independent
 ENTRY = {"name": "cubic", "parameters": {"coefficient": 1e-5, "quantity": "acceleration"}, "d_prime": 60.0}
 ANSWER = Answer("one", "one", "shaker", 7, [ENTRY])
 
@@ -42,16 +42,16 @@ def _trial(*steps: dict[str, Any], verdict: str = "missing", answer: Answer = AN
 
 @pytest.fixture(scope="module")
 def trials() -> list[Trial]:
-    """All thirty worlds, diagnosed."""
+    """All of them, diagnosed."""
     return [golden_blind.diagnosed(answer) for answer in golden_blind.answers()]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_of_thirty_blind_worlds_nearly_every_hidden_effect_is_named_and_no_clean_world_is_blamed(
+def test_of_twenty_two_blind_worlds_nearly_every_hidden_effect_is_named_and_no_clean_world_is_blamed(
     trials: list[Trial],
 ) -> None:
-    assert len(trials) == 30
+    assert len(trials) == 22
     wrong = [
         f"{one.answer.bench} {'+'.join(one.answer.names) or 'clean'} (d′ {one.answer.d_prime:.0f}): "
         f"{one.result['verdict']} {one.result['named']}"

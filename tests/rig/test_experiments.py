@@ -174,7 +174,8 @@ def test_what_was_not_measured_is_said_with_the_command_that_measures_it(shaken:
     assert "rig sweep --axis y" in of_sweep
     assert "rig sweep --axis x" not in of_sweep
     assert not [one for one in of_sweep if "--levels" in one]
-    assert [command for _, command in experiments.unmeasured(turned.evidence)] == ["rig sweep --axis x"]
+    of_turns = [command for _, command in experiments.unmeasured(turned.evidence)]
+    assert of_turns == ["rig sweep --axis x", "rig noise --length 10min --cables turntable"]
 
 
 def test_one_level_asks_for_two() -> None:

@@ -117,7 +117,7 @@ def test_what_is_excluded_is_said_with_the_error_that_it_leaves() -> None:
     refitted = [(one.error_after, one.why) for one in first if one.error_after is not None]
     assert refitted
     assert all(error > found.after + 1.0 and "times the noise" in why for error, why in refitted)
-    assert all("nowhere near" in one.why for one in first if one.error_after is None)
+    assert all("removes far less" in one.why for one in first if one.error_after is None)
     taken = {one.effect for one in found.candidates}
     assert not taken & {one.effect for one in first}
 

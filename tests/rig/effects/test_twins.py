@@ -345,7 +345,7 @@ def test_noise_is_stated_by_one_sided_densities(name: str, parameter: str, unit:
     laws = {
         "white": size**2 + 0.0 * f, "flicker": size**2 / f, "random_walk": 2.0 * size**2 / (2.0 * math.pi * f) ** 2,
     }  # fmt: skip
-    assert [(one.name, one.unit) for one in effect.parameters] == [(parameter, unit)]
+    assert (effect.parameters[0].name, effect.parameters[0].unit) == (parameter, unit)
     assert "one-sided" in effect.equation
     assert np.asarray(twin.spectrum(channel, f)) / channel.sensitivity**2 == pytest.approx(laws[name], rel=0.06)
 

@@ -10,7 +10,7 @@ import imported_runs
 import imported_sweeps
 import numpy as np
 import pytest
-from imported_worlds import Unit, evidence, rotation
+from imported_worlds import Unit, clean, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
@@ -169,6 +169,11 @@ def test_clean_records_and_knocks_have_no_faults() -> None:
     assert not found(spoilt(turned(), "gyro_z", knocked))
     jolted = spoilt(spoilt(turned(), "gyro_x", put([2500], 0.04)), "gyro_y", put([2500], -0.06))
     assert not found(jolted)  # both felt it
+
+
+@pytest.mark.parametrize("seed", [5, 72])
+def test_two_stamps_that_come_close_are_no_step_of_the_reference(seed: int) -> None:
+    assert not found(rotation(clean(seed), seed, rest=10.0, channels="r"))
 
 
 def test_a_clean_record_of_the_same_device_is_adequate() -> None:

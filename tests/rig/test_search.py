@@ -96,3 +96,11 @@ def test_a_term_without_a_value_in_these_records_gains_nothing_and_spoils_no_oth
     assert {one.term.effect.name: one.gain for one in made}["endless"] == 0.0
     assert made[0].term.effect.name == "cubic"
     assert np.isfinite(made[0].gain)
+
+
+def test_what_has_no_derivative_gets_no_share_of_an_inverse() -> None:
+    normal = np.array([[4.0, np.nan, 1.0], [np.nan, np.nan, np.inf], [1.0, np.inf, 2.0]])
+    found = fitting.inverse(normal)
+    assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
+    assert not found[1].any()
+    assert not found[:, 1].any()

@@ -11,6 +11,7 @@ from imported_worlds import AXES, Unit, clean, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
+from rig.fit.adequacy import unsteady
 from rig.foreign.tables import Foreign
 from rig.parts.track import TrackedMotion
 from rig.shelf import shelf
@@ -53,6 +54,11 @@ def test_with_a_rest_clean_records_are_adequate_and_nothing_is_left_but_noise() 
     assert sum(one.verdict != "adequate" for one in found) <= 1
     assert not any(one.named for one in found)
     assert 0.8 < float(np.median([one.final.chi2 / one.final.count for one in found])) < 1.2
+
+
+@pytest.mark.parametrize("seed", [0, 13])
+def test_where_motion_begins_is_no_gain_that_creeps(seed: int) -> None:
+    assert not unsteady(evidence(rotation(clean(seed), seed, rest=10.0, channels="r")).fitted())
 
 
 def test_a_gain_that_steps_is_not_taken_for_noise_where_the_noise_is_known() -> None:

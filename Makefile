@@ -28,8 +28,8 @@ $(V)/.dev: requirements.lock $(V)/.run
 demo: $(V)/.run ## the main job: a full sweep on the simulated bench
 	@$(V)/bin/rig sweep --axis x
 
-test: $(V)/.dev ## every test; with benches served beside, two cores have work for four
-	@$(V)/bin/python -m pytest -n 4
+test: $(V)/.dev ## every test; with benches served beside, two cores have work for three
+	@$(V)/bin/python -m pytest -n 3
 
 check: $(V)/.dev ## style, types and import directions
 	@$(V)/bin/ruff check .

@@ -184,6 +184,12 @@ class Part(ABC):
 
     def with_walk(self, walk: Mapping[str, float]) -> Self:
         """The same where zeros walk at random besides, V²·Hz by channel: how uncertain means are depends on it."""
+        made = self._walking([walk.get(name, 0.0) for name in self.channels.names])
+        made.notes = self.notes
+        return made
+
+    def _walking(self, levels: Sequence[float]) -> Self:
+        """The same with these random walks, V²·Hz (c,); itself where it has no means that feel them."""
         return self
 
     def said_of_ripple(self, floor: Floor | None) -> tuple[str, ...]:

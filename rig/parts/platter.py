@@ -29,6 +29,7 @@ from rig.parts.platter_records import PlatterRecords
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.signals.blocks import spread, unmixed
+from rig.signals.noise import walking
 
 # Hz; on a moving platter accelerometers are compared below the first and gyros below the second: above them sampled
 # edges leave patterns that the encoder's second and first derivative cannot tell from motion
@@ -59,12 +60,8 @@ class Platter(Part):
     def excites(self, on: Quantity | None) -> bool:
         return on == "rate"
 
-    def with_walk(self, walk: Mapping[str, float]) -> Self:
-        levels = [walk.get(name, 0.0) for name in self.channels.names]
-        noise = tuple(replace(one, random_walk=q) for one, q in zip(self.data.noise, levels, strict=True))
-        made = type(self)(replace(self.data, noise=noise))
-        made.notes = self.notes
-        return made
+    def _walking(self, levels: Sequence[float]) -> Self:
+        return type(self)(replace(self.data, noise=walking(self.data.noise, levels)))
 
     @cached_property
     def reference(self) -> Motion:

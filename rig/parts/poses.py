@@ -91,13 +91,10 @@ class Poses(Part):
         self.blind = tuple(_blind(data, _different(self._start[:, ~self._turned]) if len(self._triad) else 0))
         self.extra = self._of_gravity()
 
-    def with_walk(self, walk: Mapping[str, float]) -> Self:
+    def _walking(self, levels: Sequence[float]) -> Self:
         begin, end = self.spans()
-        levels = [walk.get(name, 0.0) for name in self.channels.names]
         more = [NoiseModel(1.0, 0.0, random_walk=q).covariance(begin, end) for q in levels]
-        made = type(self)(replace(self.data, covariance=self._covariance + np.array(more)))
-        made.notes = self.notes
-        return made
+        return type(self)(replace(self.data, covariance=self._covariance + np.array(more)))
 
     @property
     def zeros(self) -> Array:

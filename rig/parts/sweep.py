@@ -34,6 +34,7 @@ from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Revers
 from rig.parts.ripple import ELSEWHERE, Floor, said
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
 from rig.signals.blocks import spread, unmixed
+from rig.signals.noise import walking
 
 SEVERAL = 3  # records of one level, from which it is a state of its own
 
@@ -56,12 +57,8 @@ class Sweep(Part):
         # noise, its rows, and the generator's state behind it, by its state before
         self._drawn: dict[str, tuple[Complexes, Array, Mapping[str, Any]]] = {}
 
-    def with_walk(self, walk: Mapping[str, float]) -> Self:
-        levels = [walk.get(name, 0.0) for name in self.channels.names]
-        noise = tuple(replace(one, random_walk=q) for one, q in zip(self.data.noise, levels, strict=True))
-        made = type(self)(replace(self.data, noise=noise))
-        made.notes = self.notes
-        return made
+    def _walking(self, levels: Sequence[float]) -> Self:
+        return type(self)(replace(self.data, noise=walking(self.data.noise, levels)))
 
     @property
     def drawing(self) -> str:

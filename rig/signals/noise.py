@@ -206,6 +206,11 @@ def with_levels(rate: float, levels: Mapping[str, float], quantisation: float = 
     )  # fmt: skip
 
 
+def walking(models: Sequence[NoiseModel], levels: Sequence[float]) -> tuple[NoiseModel, ...]:
+    """The same with these random walks, unit²·Hz."""
+    return tuple(replace(one, random_walk=q) for one, q in zip(models, levels, strict=True))
+
+
 def fit(values: ArrayLike, rate: float, *, step: float, pole: float | None, ramp: bool = False) -> NoiseFit:
     """Noise of a record `values`, shape (n,), at `rate` Hz, rounded to `step` (0 for unrounded).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -204,6 +204,9 @@ def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) ->
     some = _strongest(part, one.measured[row])
     instants = np.concatenate([part.data.time[b:e] for b, e in part.data.stretches])[some]
     measured, model = (scale * _signal(part, lines[row])[some] for lines in (one.measured, one.model))
+    spans = list(_left_out(part, one.names[row], some))
+    for since, until in spans:  # what lies there is made up
+        measured[(instants >= since) & (instants <= until)] = math.nan
     colour = _of_axis(one, row)
     top, below = axes
     top.plot(instants, measured, color=colour, linewidth=2.2, alpha=0.45, label=f"{one.names[row]}: measured")
@@ -213,7 +216,7 @@ def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) ->
     below.axhspan(-band, band, color=BAND, zorder=0, label=NOISE)
     below.axhline(0.0, **FAINT)
     below.plot(instants, measured - model, color=colour, linewidth=1.0)
-    _marked(axes, part, one.names[row], some)
+    _marked(axes, part, some, spans)
     limit = part.data.bands[0 if rates else 1]
     top.set(ylabel=f"{one.names[row]} / ({unit})")
     below.set(ylabel=f"measured − model / ({unit})", xlabel=f"time in the file / s (up to {limit:.3g} Hz)")
@@ -223,22 +226,34 @@ def _over_time(axes: Any, part: TrackedMotion, one: Followed, *, rates: bool) ->
     legend(below, 1)
 
 
-def _marked(axes: Any, part: TrackedMotion, channel: str, some: slice) -> None:
-    """Among the instants that are shown: pieces held out, and rows of the channel or reference that were left out."""
+def _marked(axes: Any, part: TrackedMotion, some: slice, spans: Sequence[tuple[float, float]]) -> None:
+    """Among the instants that are shown: pieces held out, and what was left out."""
     data, (top, below) = part.data, axes
-    place = np.concatenate([np.arange(begin, end) for begin, end in data.stretches])[some]
-    first, last = float(data.time[place[0]]), float(data.time[place[-1]])
+    place, first, last = _shown(part, some)
     for begin, end in (data.stretches[k] for k in np.flatnonzero(data.held).tolist()):
         if begin <= place[-1] and end > place[0]:
             span = max(float(data.time[begin]), first), min(float(data.time[end - 1]), last)
             below.axvspan(*span, label="held out", **HELD)
+    for since, until in spans:
+        top.axvspan(since, until, label="left out", **LEFT_OUT)
+
+
+def _shown(part: TrackedMotion, some: slice) -> tuple[Array, float, float]:
+    """Instants that are shown by number, and the time of the first and of the last, s."""
+    place = np.concatenate([np.arange(begin, end) for begin, end in part.data.stretches])[some]
+    return place, float(part.data.time[place[0]]), float(part.data.time[place[-1]])
+
+
+def _left_out(part: TrackedMotion, channel: str, some: slice) -> Iterator[tuple[float, float]]:
+    """From when to when rows of the channel or the reference were left out among the instants that are shown, s."""
+    data, (place, first, last) = part.data, _shown(part, some)
     record = int(np.searchsorted([end for _, end in data.records], place[0], side="right"))
     for finding in part.faults:
         other = finding.channel != channel and finding.channel in part.channels.names
         if finding.where in data.files[record : record + 1] and not other:
             for since, until in finding.times:
                 if since <= last and until >= first:
-                    top.axvspan(since - data.interval, until + data.interval, label="left out", **LEFT_OUT)
+                    yield since - data.interval, until + data.interval
 
 
 def _of_axis(one: Followed, row: int) -> str:

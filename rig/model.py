@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -49,6 +49,7 @@ EXPERIMENTS: Mapping[str, str] = {
 }  # fmt: skip
 """What a part is of, and where an effect can show, by its word: the rig's own two benches, and others."""
 EVERYWHERE = tuple(EXPERIMENTS)
+REMEMBERED = 6  # signals
 if TYPE_CHECKING:
     Experiment = str
 else:
@@ -311,17 +312,36 @@ def at_work(terms: Sequence[Term], place: str, part: str) -> list[Term]:
     return [t for t in terms if t.effect.shows(place) and (not t.effect.parts or part in t.effect.parts)]
 
 
+class Memory:
+    """What arrives at the outputs of a part's channels, by what decides it: models that are tried one after the other
+    mostly differ in something else.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[object, ...], tuple[Motion, Motion, NDArray[np.inexact]]] = {}
+
+    def of(
+        self, key: tuple[object, ...], shown: Motion, make: Callable[[], tuple[Motion, NDArray[np.inexact]]]
+    ) -> tuple[Motion, NDArray[np.inexact]]:
+        """The motion of the case that is `shown`, and a signal: as kept, or made and kept."""
+        key = (*key, id(shown))  # which is kept too, so that no other gets its number
+        if key not in self._kept:
+            if len(self._kept) >= REMEMBERED:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = (shown, *make())
+        return self._kept[key][1:]
+
+
 def volts(
-    motion: Motion, channels: Channels, local: Local, terms: Sequence[Term], before: NDArray[np.inexact] | None = None
-) -> NDArray[np.inexact]:
+    motion: Motion, channels: Channels, local: Local, terms: Sequence[Term],
+    before: NDArray[np.inexact] | None = None, memory: Memory | None = None,
+) -> NDArray[np.inexact]:  # fmt: skip
     """Output of every channel: harmonics (c, p, 6), complex, or instants (c, n); V.
 
     `motion` is true already as far as the reference goes (see `shaken` and `turned`), and the terms act at its place.
     `before` holds the observed volts of the slot before each channel, for what the multiplexer leaves.
     """
-    for term in terms:
-        motion = term.effect.motion(motion, term.at)
-    signal = motion.grid.observed(_transduced(motion, channels, terms), _response(channels, local, terms, motion.grid))
+    motion, signal = _arriving(motion, channels, local, terms, Memory() if memory is None else memory)
     signal = signal * _tall(local.sensitivity, signal.ndim)
     zero = np.repeat(local.zero[:, None], motion.temperature.shape[-1], axis=1)
     own = replace(channels, sensitivity=local.sensitivity)
@@ -337,8 +357,31 @@ def volts(
     return _sampled(total, motion.grid, channels, terms, before)
 
 
+def _arriving(
+    shown: Motion, channels: Channels, local: Local, terms: Sequence[Term], memory: Memory
+) -> tuple[Motion, NDArray[np.inexact]]:
+    """The motion of the case, and what arrives behind every channel's filters, SI."""
+    shaping, filtering = (
+        tuple((t.effect, t.on, *t.at.values()) for t in terms if any(_has(t.effect, hook) for hook in hooks))
+        for hooks in (("motion", "felt", "transduce"), ("response",))
+    )
+
+    def taken() -> tuple[Motion, NDArray[np.inexact]]:
+        moved = shown
+        for term in terms:
+            moved = term.effect.motion(moved, term.at)
+        return moved, moved.grid.taken(_transduced(moved, channels, terms))
+
+    def passed() -> tuple[Motion, NDArray[np.inexact]]:
+        moved, signal = memory.of((channels.names, shaping), shown, taken)
+        return moved, moved.grid.passed(signal, _response(channels, local, terms, moved.grid))
+
+    return memory.of((channels.names, shaping, filtering, local.pole.tobytes()), shown, passed)
+
+
 def _transduced(motion: Motion, channels: Channels, terms: Sequence[Term]) -> Array:
-    felt = np.where(_tall(channels.rates, motion.rate.ndim), motion.rate[channels.axis], motion.force[channels.axis])
+    felt = motion.force[channels.axis]
+    felt[channels.rates] = motion.rate[channels.axis[channels.rates]]
     for hook in ("felt", "transduce"):
         for term in terms:
             here = channels.of(term.on)

@@ -35,20 +35,28 @@ NEARLY_STILL = 1e-3  # Hz, where the slope of a phase at rest is taken
 
 
 @lru_cache(maxsize=4)
-def _transforms(phases: int) -> tuple[Complexes, Complexes]:
-    """From one period to its harmonics and back: (phases, 6) and (6, phases)."""
+def _transforms(phases: int) -> tuple[Array, Complexes]:
+    """From one period to its harmonics, real and imaginary parts in turn, and back: (phases, 12) and (6, phases)."""
     angles = 2.0 * math.pi * np.arange(phases) / phases
     analysis = np.exp(-1j * np.outer(angles, np.arange(ORDERS))) * (2.0 / phases)
     analysis[:, 0] /= 2.0
-    return analysis, np.exp(1j * np.outer(np.arange(ORDERS), angles))
+    return analysis.view(np.float64), np.exp(1j * np.outer(np.arange(ORDERS), angles))
 
 
 class Grid(Protocol):
     """Where signals are worked out."""
 
-    def observed(self, signal: Array, response: Response) -> NDArray[np.inexact]:
-        """What is seen of a signal after a linear system with this complex response (Hz in)."""
+    def taken(self, signal: Array) -> NDArray[np.inexact]:
+        """What of a signal decides what is seen of it after any linear system."""
         ...
+
+    def passed(self, taken: NDArray[np.inexact], response: Response) -> NDArray[np.inexact]:
+        """What is seen of that after a linear system with this complex response (Hz in)."""
+        ...
+
+    def observed(self, signal: Array, response: Response) -> NDArray[np.inexact]:
+        """What is seen of a signal after such a system."""
+        return self.passed(self.taken(signal), response)
 
     def plain(self, signal: Array) -> NDArray[np.inexact]:
         """What is seen of a signal itself."""
@@ -64,7 +72,7 @@ class Grid(Protocol):
 
 
 @dataclass(frozen=True)
-class Periods:
+class Periods(Grid):
     """Steady sines; `frequency` Hz, shape (p,), each worked out at so many `phases`."""
 
     frequency: Array
@@ -75,11 +83,14 @@ class Periods:
         """Frequencies of the harmonics 0 … 5, Hz, shape (p, 6)."""
         return np.multiply.outer(self.frequency, np.arange(ORDERS, dtype=np.float64))
 
-    def observed(self, signal: Array, response: Response) -> Complexes:
-        return np.asarray((signal @ _transforms(self.phases)[0]) * response(self.harmonics))
+    def taken(self, signal: Array) -> Complexes:
+        return self.plain(signal)
+
+    def passed(self, taken: NDArray[np.inexact], response: Response) -> Complexes:
+        return np.asarray(taken * response(self.harmonics))
 
     def plain(self, signal: Array) -> Complexes:
-        return np.asarray(signal @ _transforms(self.phases)[0])
+        return np.ascontiguousarray(signal @ _transforms(self.phases)[0]).view(np.complex128)
 
     def each(self, values: Array) -> Array:
         return values[..., None]
@@ -94,13 +105,17 @@ class Periods:
 
 
 @dataclass(frozen=True)
-class Stretches:
+class Stretches(Grid):
     """Records one after the other: `interval` s between instants, `bounds` of each record among them."""
 
     interval: float
     bounds: tuple[tuple[int, int], ...]
 
-    def observed(self, signal: Array, response: Response) -> Array:
+    def taken(self, signal: Array) -> Array:
+        return signal
+
+    def passed(self, taken: NDArray[np.inexact], response: Response) -> Array:
+        signal = np.asarray(taken, np.float64)
         found, passed = np.empty_like(signal), response(self._frequencies)
         for (begin, end), (length, here) in zip(self.bounds, self._transforms, strict=True):
             found[..., begin:end] = self._filtered(signal[..., begin:end], passed[..., :2], passed[..., here], length)
@@ -126,7 +141,9 @@ class Stretches:
 
     def plain(self, signal: Array) -> Array:
         """The mean over a window of what is given at its middle: fast signals lose by it."""
-        return self.observed(signal, lambda f: np.asarray(np.sinc(f * self.interval), np.complex128))
+        return np.asarray(
+            self.observed(signal, lambda f: np.asarray(np.sinc(f * self.interval), np.complex128)), np.float64
+        )
 
     def each(self, values: Array) -> Array:
         return values

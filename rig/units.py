@@ -19,6 +19,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -84,7 +85,7 @@ class Kind:
         """`a frequency such as '500 Hz'`."""
         return f"{self.noun} such as '{self.example}'"
 
-    @property
+    @cached_property
     def pattern(self) -> str:
         """The texts that are read, as a regular expression that Python and JSON Schema understand alike."""
         spelled = "|".join(re.escape(s).replace("/", r"\/") for s in sorted(self.units, key=len, reverse=True))

@@ -20,7 +20,7 @@ class Cubic(Effect):
     source = "error sources S06, S26; IEEE 1293"
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
-        return np.asarray(u + at["coefficient"] * u**3)
+        return np.asarray(u + at["coefficient"] * (u * u * u))
 
     def inverse(self, at: Values) -> Inverse:
         return Bend(cubic=at["coefficient"])

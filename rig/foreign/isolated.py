@@ -70,25 +70,27 @@ def _against(values: Array, time: Array) -> _Held | None:
     span = time[later][2 * SIDE :] - time[later][: -2 * SIDE]
     whole = np.pad(span < GAP * float(np.median(span)), SIDE)  # rows that have no gap thereabouts
     # stamps that jitter more than the sampling does make things worse
-    tried = [(one, _weights(one)) for one in (time[later], np.arange(len(later), dtype=np.float64))]
-    clock, weights = min(tried, key=lambda one: float(np.median(np.abs(_off(known, one[1])))))
-    off = np.abs(_off(known, weights)) * whole
+    tried = []
+    for clock in (time[later], np.arange(len(later), dtype=np.float64)):
+        weights = _weights(clock)
+        off = np.abs(_off(known, weights))
+        tried.append((float(np.median(off)), clock, weights, off))
+    _, clock, weights, off = min(tried, key=lambda one: one[0])
+    off *= whole
     scatter = _scatter(off, known)
     return _Held(later, clock, known, weights, scatter, off / scatter) if (scatter > 0.0).all() else None
 
 
 def _weights(time: Array) -> Array:
-    """What every row takes from the six about it, (n, 6), SIDE rows at either end nothing."""
+    """What every row takes from the six about it, (6, n), SIDE rows at either end nothing."""
     count, at = len(time), [*range(-SIDE, 0), *range(1, SIDE + 1)]
-    found = np.zeros((count, len(at)))
-    inner = np.arange(SIDE, count - SIDE)
-    near = np.stack([time[inner + k] - time[inner] for k in at])
-    for j, k in itertools.product(range(len(at)), range(len(at))):
-        if k == 0:
-            found[inner, j] = 1.0
-        if k != j:
-            found[inner, j] *= -near[k] / (near[j] - near[k])
-    return found
+    middle = time[SIDE : count - SIDE]
+    near = np.stack([time[SIDE + k : count - SIDE + k] - middle for k in at])
+    above, below = np.ones_like(near), np.ones_like(near)
+    for j, k in itertools.permutations(range(len(at)), 2):
+        above[j] *= near[k]
+        below[j] *= near[k] - near[j]
+    return np.pad(above / below, ((0, 0), (SIDE, SIDE)))
 
 
 def _off(known: Array, weights: Array) -> Array:
@@ -96,8 +98,8 @@ def _off(known: Array, weights: Array) -> Array:
     count = len(known)
     padded = np.pad(known, SIDE, mode="edge")
     at = [*range(-SIDE, 0), *range(1, SIDE + 1)]
-    through = sum(weights[:, j] * padded[SIDE + k : SIDE + k + count] for j, k in enumerate(at))
-    found = (known - through) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    through = sum(weights[j] * padded[SIDE + k : SIDE + k + count] for j, k in enumerate(at))
+    found = (known - through) / np.sqrt(1.0 + np.einsum("jn,jn->n", weights, weights))
     found[:SIDE] = found[-SIDE:] = 0.0
     return np.asarray(found)
 
@@ -107,7 +109,7 @@ def _scatter(off: Array, known: Array) -> Array:
     rows that change as fast if more: stamps that jitter count there.
     """
     pieces = np.array_split(off, max(1, len(off) // BLOCK))
-    each = np.array([np.median(one) for one in pieces])
+    each = np.concatenate([np.median(np.array(list(one)), axis=1) for _, one in itertools.groupby(pieces, len)])
     beside = np.max([each, np.append(each[1:], each[-1]), np.append(each[0], each[:-1])], axis=0)
     size = np.repeat(np.maximum(beside, np.median(off)), [len(one) for one in pieces])
     size = 1.4826 * np.maximum(size, _as_fast(off, known))
@@ -158,7 +160,7 @@ def _group(held: _Held, row: int) -> list[int]:
             out = np.arange(first, first + count)
             filled = held.known[begin:end].copy()
             filled[out - begin] = _through(held, out, row)
-            left = np.abs(_off(filled, held.weights[begin:end])) / held.scatter[begin:end]
+            left = np.abs(_off(filled, held.weights[:, begin:end])) / held.scatter[begin:end]
             moved = np.abs(held.known[out] - filled[out - begin])
             if left[SIDE:-SIDE].max() < QUIET and (moved > QUIET * held.scatter[out]).all():
                 return [int(one) for one in out]
@@ -172,7 +174,7 @@ def _through(held: _Held, out: Rows, row: int) -> Array:
     """
     if len(out) == 1:
         near = held.known[row - SIDE : row + SIDE + 1]
-        return np.asarray([held.weights[row] @ np.delete(near, SIDE)])
+        return np.asarray([held.weights[:, row] @ np.delete(near, SIDE)])
     beside = np.setdiff1d(np.arange(out[0] - 3 * SIDE, out[-1] + 3 * SIDE + 1), out)
     places, at = (held.clock[one] - held.clock[row] for one in (beside, out))
     return np.asarray(np.polyval(np.polyfit(places, held.known[beside], 5), at))

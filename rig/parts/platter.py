@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Local, Quantity, Term, volts
+from rig.model import Local, Memory, Quantity, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts import platter_laws, platter_options, platter_signs
 from rig.parts.conditions import filled, logged
@@ -52,6 +52,7 @@ class Platter(Part):
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid = Stretches(data.interval, data.records)
         self._moved: dict[tuple[object, ...], Motion] = {}
+        self._memory = Memory()
 
     @property
     def observed(self) -> Array:
@@ -97,7 +98,7 @@ class Platter(Part):
         channels = self.channels
         if only is not None:
             channels, local = channels.only(only), local.only(only)
-        return np.asarray(volts(self.moved(terms), channels, local, terms), np.float64)
+        return np.asarray(volts(self.moved(terms), channels, local, terms, memory=self._memory), np.float64)
 
     @cached_property
     def _means(self) -> Array:

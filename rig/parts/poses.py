@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rig.errors import BadInput
 from rig.model import Local, Term, volts
-from rig.motion import Array, Motion, Response
+from rig.motion import Array, Grid, Motion, Response
 from rig.parts.conditions import filled, logged
 from rig.parts.part import STEP, Origin, Part
 from rig.parts.pose_records import PoseRecords
@@ -43,12 +43,15 @@ ALLOWANCE = 0.06
 
 
 @dataclass(frozen=True)
-class Still:
+class Still(Grid):
     """Instants that have nothing to do with each other, at each of which everything is constant."""
 
-    def observed(self, signal: Array, response: Response) -> Array:
+    def taken(self, signal: Array) -> Array:
+        return signal
+
+    def passed(self, taken: NDArray[np.inexact], response: Response) -> Array:
         """A constant signal passes with the response at zero frequency."""
-        return np.asarray(signal * response(np.zeros(1))[..., :1].real)
+        return np.asarray(taken * response(np.zeros(1))[..., :1].real)
 
     def plain(self, signal: Array) -> Array:
         return signal

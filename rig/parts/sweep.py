@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Local, Quantity, Term, volts
+from rig.model import Local, Memory, Quantity, Term, volts
 from rig.motion import FINE, ORDERS, PHASES, Array, Complexes, Motion, Periods
 from rig.parts import sweep_cuts, sweep_laws, sweep_options, sweep_signs
 from rig.parts.conditions import filled, logged
@@ -54,6 +54,7 @@ class Sweep(Part):
         frequency = np.where(data.frequency > 0.0, data.frequency, 1.0)
         self.grid, self._fine = Periods(frequency), Periods(frequency, FINE)
         self._moved: dict[tuple[object, ...], Motion] = {}
+        self._memory = Memory()
         # noise, its rows, and the generator's state behind it, by its state before
         self._drawn: dict[str, tuple[Complexes, Array, Mapping[str, Any]]] = {}
 
@@ -111,7 +112,7 @@ class Sweep(Part):
         if only is not None:
             channels, local, before = channels.only(only), local.only(only), before[only]
         found = np.zeros((len(channels.names), len(self.data.frequency), LINES), np.complex128)
-        found[..., :ORDERS] = volts(self.moved(terms), channels, local, terms, before)
+        found[..., :ORDERS] = volts(self.moved(terms), channels, local, terms, before, self._memory)
         for term in terms:
             for place, order in enumerate(MAINS_ORDERS, ORDERS):
                 more = term.effect.at_mains(order, self.reference.elapsed, term.at)
@@ -235,10 +236,13 @@ class Sweep(Part):
 
     def each_channel(self, raw: NDArray[np.inexact]) -> Array:
         """Whitened columns of a change that is every channel's own, (rows, c)."""
-        c = len(raw)
-        apart = np.zeros((c, *raw.shape), np.complex128)
-        apart[np.arange(c), np.arange(c)] = raw
-        return self.whitened(apart)
+        c, p, _ = raw.shape
+        known = np.nan_to_num(raw)
+        found = np.zeros((c, p, WIDTH, c))
+        found[np.arange(c), :, 0, np.arange(c)] = np.matmul(self._means, known[..., 0].real[..., None])[..., 0]
+        lines = (self._lines * known[..., 1:].transpose(1, 2, 0)[:, :, None, :]).transpose(2, 0, 1, 3)
+        found[:, :, 1::2], found[:, :, 2::2] = lines.real, lines.imag
+        return found.reshape(self.rows, c)
 
     def blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
         """Rows and the channels whose own parameters move them."""

@@ -96,7 +96,7 @@ def separated(t: Array, values: Array, rate: float, frequency: float | None, mai
     count = 0 if frequency is None else max(1, math.floor(HIGHEST * rate / frequency))
     lines = np.array(list(_apart(mains, frequency, rate, resolution)), np.float64)
     whole = _rows(t, count, frequency or 0.0, lines)
-    solution = np.linalg.solve(whole @ whole.T, whole @ values)
+    solution = np.linalg.solve(_gram(whole, count), whole @ values)
     first, second = 2 * count + 1, 2 * count + 1 + len(lines)
     return Separated(
         harmonics=np.asarray((solution[0 : 2 * count : 2] + 1j * solution[1 : 2 * count : 2]).T),
@@ -115,7 +115,7 @@ def filled(t: Array, values: Array, faulty: Mask, rate: float, frequency: float)
     y nought there: so few times that harmonics which only faulty rows would tell stay small.
     """
     rows = _rows(t, max(1, math.floor(HIGHEST * rate / frequency)), frequency, np.zeros(0))
-    gram, found = rows @ rows.T, values.copy()
+    gram, found = _gram(rows, (len(rows) - 1) // 2), values.copy()
     for c in np.flatnonzero(faulty.any(axis=0)):
         lacking = rows[:, faulty[:, c]]
         known = np.linalg.solve(gram, rows @ np.where(faulty[:, c], 0.0, values[:, c]))
@@ -139,6 +139,35 @@ def _rows(t: Array, count: int, frequency: float, lines: Array) -> Array:
         angle = 2.0 * math.pi * line * t
         rows[2 * count + 1 + k], rows[2 * count + 1 + len(lines) + k] = np.cos(angle), -np.sin(angle)
     return rows
+
+
+def _gram(rows: Array, count: int) -> Array:
+    """Products of rows (k, n) with each other, (k, k), of which the first are so many harmonics of one angle x.
+
+    Those follow from the sums of exp(jmx) alone, m up to twice as many:
+    cos kx·cos lx = ½[cos (k − l)x + cos (k + l)x],  and so on. A long record has hundreds of them.
+    """
+    first = 2 * count
+    beside = rows[first:] @ rows.T
+    found = np.empty((len(rows), len(rows)))
+    found[first:], found[:, first:] = beside, beside.T
+    if not count:
+        return found
+    last = rows[first - 2 : first]  # cos, −sin of the highest
+    products = rows[:first] @ last.T
+    cosines, sines = products[0::2], products[1::2]
+    low = beside[0, :first:2] - 1j * beside[0, 1:first:2]
+    high = cosines[:, 0] - sines[:, 1] - 1j * (sines[:, 0] + cosines[:, 1])
+    sums = np.concatenate([[beside[0, first]], low, high])
+    order = np.arange(1, count + 1)
+    apart = order[:, None] - order
+    less, more = sums[np.abs(apart)], sums[order[:, None] + order]
+    turned = np.sign(apart) * less.imag
+    found[0:first:2, 0:first:2] = 0.5 * (less.real + more.real)
+    found[1:first:2, 1:first:2] = 0.5 * (less.real - more.real)
+    found[0:first:2, 1:first:2] = 0.5 * (turned - more.imag)
+    found[1:first:2, 0:first:2] = found[0:first:2, 1:first:2].T
+    return found
 
 
 def _apart(mains: float | None, frequency: float | None, rate: float, resolution: float) -> Iterator[float]:

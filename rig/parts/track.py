@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.model import Channels, Local, Term, volts
+from rig.model import Channels, Local, Memory, Term, volts
 from rig.motion import Array, Complexes, Motion, Stretches
 from rig.parts.conditions import filled, logged
 from rig.parts.part import Origin, Part
@@ -134,6 +134,7 @@ class TrackedMotion(Part):
         self.logged = logged(temperature=data.temperature, supply=data.supply)
         self.grid = Stretches(data.interval, data.records)
         self._moved: dict[tuple[object, ...], Motion] = {}
+        self._memory = Memory()
         self.target = self.whitened(data.observed)  # refuses at once what cannot be compared
 
     @property
@@ -209,7 +210,7 @@ class TrackedMotion(Part):
         if only is not None:
             channels, local = channels.only(only), local.only(only)
         own = [term for term in terms if term.effect.stage != "reference"]  # those are in the motion already
-        return np.asarray(volts(self.moved(terms), channels, local, own), np.float64)
+        return np.asarray(volts(self.moved(terms), channels, local, own, memory=self._memory), np.float64)
 
     def lines(self, values: Array) -> Array:
         """Cosine lines of signals (k, n) within the bands, stretch after stretch, (k, width)."""

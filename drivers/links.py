@@ -105,7 +105,6 @@ class _SerialStream:
 
     def __init__(self, port: Any) -> None:
         self._port = port
-        port.timeout = 0  # waiting is done by select, so that one read takes all that has arrived
 
     def send(self, data: bytes) -> None:
         import serial
@@ -121,6 +120,7 @@ class _SerialStream:
         try:
             if not select.select([self._port.fileno()], [], [], timeout)[0]:
                 return b""
+            self._port.timeout = 0  # one read takes all that has arrived, whatever a gateway's library set meanwhile
             return bytes(self._port.read(CHUNK))
         except (serial.SerialException, OSError, ValueError, TypeError) as error:
             raise _LineError(

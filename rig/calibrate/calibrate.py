@@ -72,10 +72,11 @@ def _of_bench(
     header = _common_header(runs)
     sensor = Sensor.of(header)
     basis = basis_of(runs, header, recorder_of(runs, sensor, recorder))
+    assumed = assumed if basis.recorder in READERS else None
+    fits, unfitted = ({}, ()) if assumed is None else _fitted(runs, assumed, basis.recorder)
     shaken = ShakerRuns(basis)
     turned = TurntableRuns(basis)
-    assumed = assumed if basis.recorder in READERS else None
-    results, unfitted = _on_model(runs, shaken, turned, assumed, basis.recorder)
+    results = _on_model(shaken, turned, assumed, fits)
     results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
     results = list(said(results, basis.recorder))
     _refuse_nothing(runs, results)
@@ -104,16 +105,15 @@ def _of_bench(
 
 
 def _on_model(
-    runs: Sequence[Recorded], shaken: ShakerRuns, turned: TurntableRuns, assumed: Assumed | None, recorder: Recorder
-) -> tuple[list[Result], tuple[str, ...]]:
-    """Results of sweeps and turntable runs, on the fitted model if one is assumed; and why none was fitted."""
+    shaken: ShakerRuns, turned: TurntableRuns, assumed: Assumed | None, fits: Mapping[str, Experiment]
+) -> list[Result]:
+    """Results of sweeps and turntable runs, on the fitted model if one is assumed."""
     results = [*shaken.results(), *turned.results()]
     if assumed is None:
-        return results, ()
-    fits, unfitted = _fitted(runs, assumed, recorder)
+        return results
     direct = {one.key: one for one in (*shaken.direct(), *turned.direct())}
     results = [joined(r, direct[r.key], fits, assumed) if r.key in direct else r for r in results]
-    return [*results, *of_model(fits, assumed)], unfitted
+    return [*results, *of_model(fits, assumed)]
 
 
 def _fitted(

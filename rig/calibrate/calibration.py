@@ -314,7 +314,8 @@ def save(calibration: Calibration, path: Path) -> None:
     body = {"format": FORMAT, **_plain(asdict(calibration))}
     for result, row in zip(calibration.results, body["results"], strict=True):
         row |= {} if result.value is None else _stated(result)
-    write_whole(path, yaml.safe_dump(body, allow_unicode=True, sort_keys=False, width=118).encode())
+    writer = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    write_whole(path, yaml.dump(body, Dumper=writer, allow_unicode=True, sort_keys=False, width=118).encode())
 
 
 def _stated(result: Result) -> dict[str, float]:

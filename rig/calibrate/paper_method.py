@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, signals_of, wires_of
+from rig.archive.reduced import reduced
 from rig.calibrate.calibration import PaperRow
 from rig.errors import BadInput
 from rig.parts.reading.vibration import SinePoint
@@ -152,6 +153,10 @@ def gyro_rows(records: Recorded, sensor: Sensor) -> list[PaperRow]:
     Eq. 13 over the holds, eq. 12 over everything that turned, each with raw line intervals and with the moving
     average. Raises BadInput if the encoder gave no rate in a hold.
     """
+    return reduced(records, "paper", (PaperRow,), lambda: _gyro_rows(records, sensor), sensor)
+
+
+def _gyro_rows(records: Recorded, sensor: Sensor) -> list[PaperRow]:
     found: dict[tuple[str, int], _Estimates] = {}
     for body in records.points.values():
         if body.get("phase") not in TURNING:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ class Platter(Part):
         self.grid = Stretches(data.interval, data.records)
         self._moved: dict[tuple[object, ...], Motion] = {}
         self._memory = Memory()
+        # what was drawn last: from which state of the generator, noise, its rows, and the generator's state behind it
+        self._drawn: tuple[str, Array, Array, Mapping[str, Any]] | None = None
 
     @property
     def observed(self) -> Array:
@@ -155,6 +157,14 @@ class Platter(Part):
 
         Means of the stretches have the covariance of the run, lines of each the density of the noise.
         """
+        before = repr((row, count, random.bit_generator.state))
+        if self._drawn is None or self._drawn[0] != before:
+            found = self._draw(row, random, count)
+            self._drawn = before, found, self._whitened(found, np.full(count, row)), random.bit_generator.state
+        _, drawn, _, random.bit_generator.state = self._drawn
+        return drawn
+
+    def _draw(self, row: int, random: np.random.Generator, count: int) -> Array:
         from scipy.fft import idct
 
         data, found = self.data, np.zeros((count, self.data.observed.shape[1]))
@@ -179,8 +189,9 @@ class Platter(Part):
 
     def felt(self, row: int, drawn: Array, influence: Array) -> Array:
         """What an estimate with this influence of the rows, (rows,), makes of what `noise_like` drew, (count,)."""
-        mine = influence.reshape(-1, self.width)[row]
-        return np.asarray(self._whitened(drawn, np.full(len(drawn), row)) @ mine)
+        known = self._drawn is not None and self._drawn[1] is drawn
+        rows = self._drawn[2] if known and self._drawn else self._whitened(drawn, np.full(len(drawn), row))
+        return np.asarray(rows @ influence.reshape(-1, self.width)[row])
 
     def means_of(self, row: int, drawn: Array) -> Array:
         """Means of what `noise_like` drew, (count, n)."""

@@ -21,7 +21,7 @@ from rig.parts.conditions import smoothed
 from rig.parts.ranges import beyond_range
 from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
-from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sines
+from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sine_points, sines
 from rig.parts.sweep import Sweep
 from rig.parts.sweep_lines import LIMIT, density, drive_clock, slow_noise, taken
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, Leftover, SweepRecords, directions
@@ -84,6 +84,7 @@ def _sweep(records: Recorded, name: str) -> SweepRecords:
     mains = units.parse(str(records.header["bench_file"]["mains"]), "frequency")
     whole = [one for body in statics(records) for one in _resting(records, body, mains)]
     driven = list(sines(records, chain))
+    sine_points(records, chain, driven)  # kept for who asks for those alone
     whole += [_driven(records, sine, chain, mains) for sine in driven]
     return _joined(records, name, driven[0].point.axis, whole, mains)
 

@@ -156,10 +156,12 @@ class Sine:
     left: NDArray[np.float64]
 
 
-def sine_points(records: Recorded, chain: Chain) -> list[SinePoint]:
-    """Every sine of a run; raises BadInput if its record has no reference or too few cycles."""
+def sine_points(records: Recorded, chain: Chain, known: Sequence[Sine] = ()) -> list[SinePoint]:
+    """Every sine of a run, which may be `known` already; raises BadInput if its record has no reference or too few
+    cycles.
+    """
     return reduced(
-        records, "sines", (SinePoint, Line), lambda: [sine.point for sine in sines(records, chain)], chain
+        records, "sines", (SinePoint, Line), lambda: [sine.point for sine in known or sines(records, chain)], chain
     )  # fmt: skip
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import in_process
 import yaml
 
 from rig.fit.parameters import Estimate
@@ -50,9 +48,7 @@ class Desk:
 
     def text(self, *words: str) -> str:
         """What `rig WORDS` prints. Raises Failed."""
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("RIG_")}
-        command = [sys.executable, "-m", "rig", *words, "--runs", str(self.runs)]
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+        done = in_process.rig(*words, "--runs", str(self.runs))
         if done.returncode:
             raise Failed(f"rig {' '.join(words)}: exit {done.returncode}\n{done.stdout[-800:]}{done.stderr[-800:]}")
         return done.stdout.replace(f" --runs {self.runs}", "")  # a folder that is thrown away

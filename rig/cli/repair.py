@@ -248,7 +248,7 @@ def _number(value: float | None) -> str:
 
 def worst_text(found: Comparison) -> list[str]:
     """The worst conditions in words, those that noise hardly makes, and references that cannot be as stated."""
-    rows = [f"  {one.in_words} ({one.ratio:.3g} times the noise)" for one in found.worst if one.stands_out]
+    rows = [f"  {one.in_words} ({one.ratio:.3g} times {one.against})" for one in found.worst if one.stands_out]
     rows += [f"  {one.in_words}" for one in found.references]
     return ["worst:", *rows] if rows else ["nothing stands out of the noise"]
 

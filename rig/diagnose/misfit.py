@@ -81,6 +81,7 @@ class Condition:
     component: str
     channels: tuple[str, ...]
     most: float
+    against: str  # what the ratio is to
 
     @property
     def stands_out(self) -> bool:
@@ -285,14 +286,15 @@ def _condition(found: Fit, one: Cell, most: float) -> Condition:
     name = _component(one.component)
     exact = [name, *([one.cut.words] if one.cut is not None else []), _who(one.channels, one.table)]
     where = f"{experiment}: {', '.join(exact)}"
+    against = one.table.part.against
     if one.z <= most:
-        words = f"nothing stands out; most in {name}, {_who(one.channels, one.table)}, {one.ratio:.2g} times the noise"
-        return Condition(where, one.ratio, words, one.z, experiment, one.component, one.channels, most)
+        words = f"nothing stands out; most in {name}, {_who(one.channels, one.table)}, {one.ratio:.2g} times {against}"
+        return Condition(where, one.ratio, words, one.z, experiment, one.component, one.channels, most, against)
     ordered = laws(found, _alike(one))
     law = in_words(ordered)
     channels = _channels(one, ordered[0] if law else None, most)
     said = [name, *_slices(one, channels), *([law] if law else []), _who(channels, one.table)]
-    return Condition(where, one.ratio, ", ".join(said), one.z, experiment, one.component, channels, most)
+    return Condition(where, one.ratio, ", ".join(said), one.z, experiment, one.component, channels, most, against)
 
 
 def _alike(one: Cell) -> Cell:

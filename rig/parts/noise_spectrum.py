@@ -45,6 +45,7 @@ class NoiseSpectrum(Part):
     """Records at rest as a part of a fit."""
 
     calibrates: ClassVar[bool] = False
+    against: ClassVar[str] = "what it scatters"
 
     def __init__(self, data: NoiseRecords) -> None:
         self.data = data
@@ -130,6 +131,29 @@ class NoiseSpectrum(Part):
                 [*(with_added(one, more) for one, more in zip(clean, added, strict=True)), at], axis=1
             )
         return self._made[key]
+
+    @property
+    def bands_at(self) -> Array:
+        """Middle of every band, Hz, (b,), those held out behind the others."""
+        return self.frequency[:-OPEN]
+
+    @property
+    def bands_held(self) -> Mask:
+        """Which of them are held out, (b,)."""
+        return np.asarray(np.arange(self.width - OPEN) >= len(self.data.trained.dof))
+
+    def densities(self, local: Local, terms: Sequence[Term]) -> tuple[Array, Array, Array]:
+        """Of every band as recorded, as a model says, and as the data sheets do, SI/√Hz, three of (c, b)."""
+        size = np.abs(self.channels.sensitivity)[:, None]
+        seen = np.concatenate([one.power for one in self._all], axis=1)
+        usual = np.zeros((len(size), OPEN))
+        sheet = np.concatenate([mean_density(self.data.sheet, self.data.rate, b, usual) for b in self._all], axis=1)
+        said = self._density(local, terms)[:, :-OPEN]
+        return np.sqrt(seen) / size, np.sqrt(said) / size, np.sqrt(sheet) / size
+
+    def unit_of_density(self, name: str) -> str:
+        """As `densities` has it."""
+        return f"({super().unit(name)})/√Hz"
 
     @cached_property
     def _start(self) -> Array:

@@ -54,6 +54,7 @@ class Part(ABC):
     logged: frozenset[str] = frozenset()
     formulas: ClassVar[tuple[str, ...]] = ()
     extra_title: ClassVar[str] = "ripple"
+    against: ClassVar[str] = "the noise"  # what ratios of its rows are to
     calibrates: ClassVar[bool] = True  # whether sensitivities and zero outputs show in it
     faults: tuple[Finding, ...] = ()
     bands: tuple[float, ...] = ()  # Hz, up to which rates and forces of a sampled reference are compared

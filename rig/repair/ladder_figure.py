@@ -46,8 +46,8 @@ def figure(model: Model) -> Figure:
     ax.plot(at, there, "v", color=WORST, fillstyle="none", label="there, held-out data")
     for place, step in zip(at, steps, strict=True):
         if step.worst is not None and step.worst_error is not None:
-            ax.annotate(f"{step.worst_error:.2g} {step.worst_unit}", (place, step.worst), (0, 6),
-                        textcoords="offset points", ha="center", fontsize=7, color=WORST)  # fmt: skip
+            ax.annotate(f"{step.worst_error:.2g} {step.worst_unit}", (place, step.worst), (8, 2),
+                        textcoords="offset points", ha="left", fontsize=7, color=WORST)  # fmt: skip
     heldout = [float("nan") if step.heldout is None else step.heldout for step in steps]
     ax.plot(at, heldout, "s--", color=HELD_OUT, label="held-out data, predicted")
     ax.set_yscale("log")

@@ -13,6 +13,7 @@ from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
 from rig.parts.part import Part
 from rig.report import imported_figures
+from rig.report.noise_figure import noises
 from rig.report.platter_figure import turntable
 from rig.report.sweep_figure import shaker
 
@@ -47,6 +48,7 @@ DRAWINGS: Mapping[str, Drawing] = {
     "motion": _each("misfit_motion", imported_figures.following),
     "poses": _each("misfit_poses", imported_figures.poses),
     "response": _responses,
+    "noise": noises,
 }
 """By the noun that a part gives; what has no drawing is drawn nowhere."""
 

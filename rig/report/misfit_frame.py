@@ -45,7 +45,8 @@ def title(name: str, worst: Sequence[Condition]) -> str:
     import textwrap
 
     said = worst[0].in_words if worst and worst[0].stands_out else "nothing stands out of the noise"
-    ratio = f" ({worst[0].ratio:.3g}\u00a0times\u00a0the\u00a0noise)" if worst and worst[0].stands_out else ""
+    ratio = f" ({worst[0].ratio:.3g} times {worst[0].against})" if worst and worst[0].stands_out else ""
+    ratio = ratio[:1] + ratio[1:].replace(" ", "\u00a0")  # together on a line
     return "\n".join([f"{name}: what the model leaves over", *textwrap.wrap(said + ratio, 108)])
 
 

@@ -15,6 +15,7 @@ from rig.diagnose.misfit_cells import tables
 from rig.fit.evidence import Evidence, evidence_of
 from rig.motion import Array
 from rig.report.misfit_figures import draw
+from rig.report.noise_figure import noises
 from rig.report.platter_figure import turntable
 from rig.report.sweep_figure import shaker
 
@@ -88,3 +89,21 @@ def test_a_clean_world_says_that_nothing_stands_out_and_stays_in_the_band(tmp_pa
     assert "nothing stands out of the noise" in figure.get_suptitle()
     values = np.concatenate([y for _, y in _drawn(figure.axes[0], points=3)])
     assert np.mean(np.abs(values) < 2.0) > 0.85
+
+
+def test_noise_that_a_model_lacks_is_drawn_with_what_the_data_sheet_says(tmp_path: Path) -> None:
+    hidden = [{"name": "white", "parameters": {"density": 4e-4, "quantity": "acceleration"}}]
+    world = fast_bench.world(3, hidden)
+    loud = evidence_of([fast_bench.measure({"procedure": "frequency_sweep", "axis": "x"}, world)])
+    fit = loud.fitted()
+    assert [path.name for path in draw(loud, fit, tmp_path)] == ["misfit_shaker.svg", "misfit_noise.svg"]
+    numbers = [n for n, part in enumerate(fit.parts) if part.drawing == "noise"]
+    ((_, figure),) = noises(fit, numbers, conditions(fit, tables(fit)))
+    density, deviation = figure.axes[:2]
+    seen, _, model, sheet = [np.asarray(line.get_ydata(), float) for line in density.get_lines()][-4:]
+    high = len(model) // 4  # where flicker has no part in it, at least as much white noise is hidden as is stated
+    assert np.all(model[-high:] > 1.2 * sheet[-high:])
+    assert np.median(seen[-high // 2 :] / model[-high // 2 :]) == pytest.approx(1.0, abs=0.1)
+    assert max(np.abs(line.get_ydata()).max() for line in deviation.get_lines() if len(line.get_xdata()) > 5) > 4.0
+    assert "white" in figure.get_suptitle()
+    assert "times the noise" not in figure.get_suptitle().replace("\u00a0", " ")

@@ -23,8 +23,7 @@ MOST = 3  # channels whose densities are shown
 def noises(fit: Fit, numbers: Sequence[int], worst: Sequence[Condition]) -> Iterator[tuple[str, Figure]]:
     """A figure for each place at rest where noise stands out or is in the model: else there is nothing to see."""
     for number in numbers:
-        part = fit.parts[number]
-        assert isinstance(part, NoiseSpectrum)
+        part: Any = fit.parts[number]
         mine = [one for one in worst if one.stands_out and part.within(one.experiment) and _of(part, one)]
         if mine or part.here(fit.state.terms):
             yield "misfit_noise", _figure(fit, number, part, mine)

@@ -386,6 +386,11 @@ def verdict_text(said: Conclusion) -> str:
 
 def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
     """Why nothing stands out, and the model is not called adequate all the same."""
+    if wrong := [one.in_words for one in said.faults if one.misread]:
+        more = f" and {len(wrong) - FEW} more" if len(wrong) > FEW else ""
+        yield f"{errors}; axes are not those of the manifest, so no effect was looked for: mend it and import again"
+        yield f"{'; '.join(wrong[:FEW])}{more}"
+        return
     if said.untold:
         sizes = ", ".join(f"{one.error:.3g} {one.unit} ({one.name})" for one in said.untold)
         yield f"error is {sizes}"
@@ -448,6 +453,8 @@ def adding(effect: str, names: Sequence[str], on: str | None) -> str:
 
 
 def _next_after(said: Conclusion, work: Opened) -> list[str]:
+    if any(one.misread for one in said.faults):
+        return [command("show", one) for one in work.bench.evidence.runs]
     if said.verdict == "missing":
         return [_first(said, work)]
     if said.verdict in ("adequate", "undecided"):

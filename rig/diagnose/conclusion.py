@@ -17,7 +17,7 @@ import numpy as np
 
 from rig.diagnose.bands import dependent
 from rig.diagnose.describe import Description, describe
-from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, Told, diagnose, unheard
+from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, Told, diagnose, misread, unheard
 from rig.diagnose.misfit import Group, Pull, finite, place_as_json, pulls, untold
 from rig.diagnose.unseen import cannot_see
 from rig.fit import adequacy
@@ -144,7 +144,7 @@ def conclude(
     shows only beside it. So are sensitivities of their own where they are shared. `told` hears what is being done.
     """
     found = concluded(evidence, diagnose(evidence, terms, shelf=shelf, poles=True, told=told), shelf)
-    if poles and not shared:
+    if (poles and not shared) or misread(found.diagnosis.final):
         return found
     base = evidence.fitted(terms, poles=poles, shared=shared)
     if base.objective - found.diagnosis.base.objective < CHANCE:  # nothing that a part of every channel would explain

@@ -7,7 +7,8 @@ those then judge what was decided, and only the parameters that are reported, an
 fits to everything. When no effect brings both to their noise, the verdict is *unlisted*, and the best candidate is only
 the nearest. Where nothing is found missing but noise is known only from what the model leaves over, the verdict is
 *undecided*: that nothing stands out of such noise means nothing. So it is while records hold samples that are no
-measurement, since what made them may have changed others too, and where too few rows are held out to judge.
+measurement, since what made them may have changed others too, and where too few rows are held out to judge. Where the
+axes of a triad are not those that its manifest states, nothing is looked for at all.
 """
 
 from __future__ import annotations
@@ -143,6 +144,8 @@ def diagnose(
     shelf = shelf_of() if shelf is None else shelf
     whole = evidence.fitted(terms, poles=poles, shared=shared)
     base = fitting.fit(whole.parts, whole.state, use=_training(evidence, whole))
+    if misread(whole):
+        return _concluded(whole, base, [], (), evidence.imported)
     steps: list[Step] = []
     current = base
     first_scores: tuple[Score, ...] = ()
@@ -165,6 +168,11 @@ def diagnose(
     steps = _together(_on_all_rows(steps, whole), whole)
     trained = fitting.fit(whole.parts, steps[-1].after.state if steps else whole.state, use=base.use)
     return _concluded(whole, trained, steps, first_scores, evidence.imported)
+
+
+def misread(found: Fit) -> bool:
+    """Whether a manifest has axes otherwise than its numbers, for which an effect would be blamed."""
+    return any(one.misread for part in found.parts for one in part.faults)
 
 
 def _after(steps: Sequence[Step]) -> str:
@@ -489,7 +497,9 @@ def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Sco
         fine = fine or after < SHARE * (base.objective - final.objective)
     explained = 1.0 - after / before if before > 0.0 else 1.0
     verdict: Verdict
-    if not fine or (not steps and adequacy.unsteady(final)):
+    if misread(final):
+        verdict = "undecided"
+    elif not fine or (not steps and adequacy.unsteady(final)):
         verdict = "unlisted"
     elif not held:
         verdict = "undecided"

@@ -4,8 +4,8 @@
         print(one.where, one.text)            # "22 time stamps are the same as the one before: rows 9, 37, …"
 
 Rows are counted from 0, as in a manifest's segments. This file looks at one column at a time and at its time stamps;
-rig.foreign.pairs at the device against its reference, rig.foreign.lines at tones and clocks. A finding is a sentence
-with its numbers. Thresholds are such that clean data with noise give none.
+rig.foreign.pairs at the device against its reference, rig.foreign.frames at the axes of a triad, rig.foreign.lines at
+tones and clocks. A finding is a sentence with its numbers. Thresholds are such that clean data with noise give none.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.foreign import frames, turns
 from rig.foreign import lines as foreign_lines
 from rig.foreign import pairs as foreign_pairs
-from rig.foreign import turns
 from rig.foreign.faults import FROZEN, GAP, STILL, faults
 from rig.foreign.finding import Finding, listed, runs, stretches_of
 from rig.foreign.manifest import KINDS
@@ -46,9 +46,22 @@ def _of_table(data: Foreign, table: Table) -> Iterator[Finding]:
     yield from _of_values(data, table)
     if KINDS[data.manifest.kind].timed:
         yield from _of_whole_rows(data, table)
-    yield from foreign_pairs.findings(data, table)
+    yield from _of_axes(data, table)
     yield from turns.findings(data, table)
     yield from foreign_lines.findings(data, table)
+
+
+def _of_axes(data: Foreign, table: Table) -> Iterator[Finding]:
+    """The device against its reference. With an attitude that turns the other way nothing can be said of axes; what a
+    triad as a whole says holds the sign of each of its channels.
+    """
+    found = list(foreign_pairs.findings(data, table))
+    backwards = any(one.kind == "quaternion_sense" for one in found)
+    axes = [] if backwards else list(frames.findings(data, table))
+    of = {one.channel: one.quantity for one in data.manifest.columns}
+    said = {of[one.channel] for one in axes}
+    yield from (one for one in found if one.kind != "sign" or of[one.channel] not in said)
+    yield from axes
 
 
 def _seconds(value: float) -> str:

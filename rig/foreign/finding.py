@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHOWN = 3  # row numbers that a sentence lists
+MISREAD = ("frame", "quaternion_sense")  # kinds: the manifest has the axes otherwise than the numbers
 Rows = NDArray[np.intp]
 Spans = tuple[tuple[int, int], ...]
 
@@ -36,6 +37,11 @@ class Finding:
     manifest_line: int | None = None
     left_out: bool = False
     accepted: bool = False
+
+    @property
+    def misread(self) -> bool:
+        """Whether axes are not those that the manifest states: till that is mended nothing is learned of physics."""
+        return self.kind in MISREAD and not self.accepted
 
     @property
     def rows(self) -> Rows:

@@ -112,7 +112,7 @@ def _angle_pair(data: Foreign, table: Table, gyro: Column, angle: Column, sense:
 
 def _of_motion(data: Foreign, table: Table) -> list[Pair]:
     rows, time = running(data, table)
-    attitude = _quaternions(data, table)
+    attitude = quaternions(data, table)
     gyros = [one for one in data.manifest.of("device", "rate") if one.axis is not None]
     if attitude is None or not gyros or len(rows) < 32:
         return []
@@ -129,7 +129,7 @@ def _of_motion(data: Foreign, table: Table) -> list[Pair]:
     return found
 
 
-def _quaternions(data: Foreign, table: Table) -> Array | None:
+def quaternions(data: Foreign, table: Table) -> Array | None:
     """Scalar first, (n, 4), normalised; NaN where there are gaps. None without four components."""
     by = {one.component: one for one in data.manifest.of("reference", "quaternion")}
     if not all(part in by for part in ("w", "x", "y", "z")):
@@ -256,7 +256,7 @@ def _attitude(data: Foreign, table: Table) -> Iterator[Finding]:
 
 
 def _attitude_sense(data: Foreign, table: Table) -> Iterator[Finding]:
-    attitude, made = _quaternions(data, table), pairs(data, table)
+    attitude, made = quaternions(data, table), pairs(data, table)
     rows, time = running(data, table)
     if attitude is None or len(made) < 3:
         return

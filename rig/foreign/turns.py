@@ -2,7 +2,8 @@
 
 With rates ω in the case, and no zeros, what points up in the case turns by −ω:  u₂ = R⁻¹·u₁,  R = Π exp([ω·Δt]×).
 An axis of the accelerometers that counts the other way makes a left-handed triad of them; u₂ then comes out as if the
-gyros of both other axes did.
+gyros of both other axes did. Any signed permutation of the gyros that is right-handed may as well be one of the
+accelerometers, its inverse, either way round.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.foreign import frames
 from rig.foreign.finding import Finding, runs
-from rig.foreign.manifest import Column
-from rig.foreign.pairs import AXES, running
+from rig.foreign.frames import Triad
+from rig.foreign.pairs import running
 from rig.foreign.tables import Array, Foreign, Table
 
 BLOCK = 0.25  # s, of which it is asked whether the case stood still
@@ -41,30 +43,35 @@ class _Turns:
     after: Array
     steps: tuple[Array, ...]
 
-    def error(self, signs: Array, factor: float) -> float:
-        """rms angle between gravity and what the gyros say, rad, once they are multiplied by signs (3,) and factor."""
-        turned = np.array([_up_after(u, factor * signs * one) for u, one in zip(self.before, self.steps, strict=True)])
+    def error(self, way: Array, factor: float) -> float:
+        """rms angle between gravity and what the gyros say, rad, if they show `way` (3, 3) of what they should and the
+        rates are `factor` times theirs.
+        """
+        turned = np.array([_up_after(u, factor * one @ way) for u, one in zip(self.before, self.steps, strict=True)])
         return math.sqrt(float(np.mean(np.arccos(np.clip(np.sum(turned * self.after, axis=1), -1.0, 1.0)) ** 2)))
 
 
 def findings(data: Foreign, table: Table) -> Iterator[Finding]:
     """Gyros that contradict gravity, in a file of poses with a triad of either."""
-    force, rate = (_triad(data, quantity) for quantity in ("acceleration", "rate"))
-    if data.manifest.kind != "poses" or not force or not rate or data.manifest.time is None:
+    forces, rates = frames.triads(data.manifest, "acceleration"), frames.triads(data.manifest, "rate")
+    if data.manifest.kind != "poses" or not forces or not rates or data.manifest.time is None:
         return
+    force, rate = forces[0], rates[0]
     turns = _between(data, table, force, rate)
     if turns is None:
         return
-    stated = turns.error(np.ones(3), 1.0)
+    stated = turns.error(np.eye(3), 1.0)
     if stated < WRONG:
         return
-    errors = {words: turns.error(np.array(signs), factor) for words, signs, factor in _readings(force, rate)}
+    axes = {_said(force, rate, way): turns.error(way, 1.0) for way in frames.READINGS[1:]}
+    errors = axes | {words: turns.error(way, factor) for words, way, factor in _in_other_units(force, rate)}
     words, error = _larger(turns)
     errors[words] = error / LIKELIER
     best = min(errors, key=lambda one: errors[one])
-    why = f"it would fit with {best}" if errors[best] < FITS * stated else "no sign and no unit explains it"
+    fits = errors[best] < FITS * stated
+    why = f"it would fit with {best} ({math.degrees(errors[best]):.0f}°)" if fits else "no sign and no unit explains it"
     yield Finding(
-        "turns", table.label,
+        "frame" if fits and best in axes else "turns", table.label,
         f"the turns between {len(turns.steps)} pairs of poses contradict gravity: what the gyros say is "
         f"{math.degrees(stated):.0f}° off (rms); {why}",
     )  # fmt: skip
@@ -75,41 +82,39 @@ def _larger(turns: _Turns) -> tuple[str, float]:
     from scipy.optimize import minimize_scalar
 
     tried = np.geomspace(*FACTORS, 17)
-    errors = [turns.error(np.ones(3), float(one)) for one in tried]
+    errors = [turns.error(np.eye(3), float(one)) for one in tried]
     near = tried[max(int(np.argmin(errors)) - 1, 0)], tried[min(int(np.argmin(errors)) + 1, len(tried) - 1)]
-    found = minimize_scalar(lambda one: turns.error(np.ones(3), float(one)), bounds=near, method="bounded")
+    found = minimize_scalar(lambda one: turns.error(np.eye(3), float(one)), bounds=near, method="bounded")
     return f"rates {float(found.x):.3g} times what is stated", float(found.fun)
 
 
-def _triad(data: Foreign, quantity: str) -> list[Column]:
-    by = {one.axis: one for one in data.manifest.of("device", quantity)}
-    return [by[axis] for axis in AXES] if set(by) >= set(AXES) else []
+def _in_other_units(force: Triad, rate: Triad) -> Iterator[tuple[str, Array, float]]:
+    """Other units of the gyros, and perhaps signs besides: in words, how they are read, and a factor."""
+    for unit, factor in UNITS:
+        for signs in itertools.product((1.0, -1.0), repeat=3) if rate[0].unit != unit else ():
+            words = f"the gyros in {unit} instead of {rate[0].unit}"
+            also = f", and {_said(force, rate, np.diag(signs))}" if min(signs) < 0.0 else ""
+            yield words + also, np.diag(signs), factor
 
 
-def _readings(force: list[Column], rate: list[Column]) -> Iterator[tuple[str, tuple[float, float, float], float]]:
-    """Other ways to read the channels: in words, signs of the gyros, and a factor."""
-    other = [(f" in {unit} instead of {rate[0].unit}", k) for unit, k in UNITS if rate[0].unit != unit]
-    for said, factor in [("", 1.0), *other]:
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            words = _said(force, rate, signs)
-            if said:
-                words = f"the gyros{said}" + (f", and {words}" if words else "")
-            if words:
-                yield words, (signs[0], signs[1], signs[2]), factor
-
-
-def _said(force: list[Column], rate: list[Column], signs: tuple[float, ...]) -> str:
-    back = [k for k in range(3) if signs[k] < 0.0]
+def _said(force: Triad, rate: Triad, way: Array) -> str:
+    """A reading of the gyros in words, or of the accelerometers, which it may be as well."""
+    back = [k for k in range(3) if way[k, k] < 0.0]
+    if np.count_nonzero(np.diag(way)) < 3:
+        said = [frames.in_words(rate, way)]
+        if np.linalg.det(way) > 0.0:
+            said.append(frames.in_words(force, min((way.T, -way.T), key=frames.moved)))
+        return ", or ".join(said)
     if len(back) == 3:
         return "the gyros counting the other way, all three"
     if len(back) == 2:
         (left,) = set(range(3)) - set(back)
         gyros = " and ".join(rate[k].channel for k in back)
         return f"{force[left].channel} counting the other way (a left-handed triad), or {gyros}"
-    return f"{rate[back[0]].channel} counting the other way" if back else ""
+    return f"{rate[back[0]].channel} counting the other way"
 
 
-def _between(data: Foreign, table: Table, force: list[Column], rate: list[Column]) -> _Turns | None:
+def _between(data: Foreign, table: Table, force: Triad, rate: Triad) -> _Turns | None:
     rows, time = running(data, table)
     values = np.column_stack([data.si(table, one)[rows] for one in (*force, *rate)])
     whole = np.isfinite(values).all(axis=1)

@@ -321,7 +321,8 @@ def test_an_axis_that_counts_against_a_pose_track_is_found(tmp_path: Path, axis:
     data = made.tracked()
     data[f"gyro_{axis}"] *= -1.0
     read = opened(tmp_path, made.tracked_manifest("d.csv"), data)
-    assert [(one.kind, one.text.split()[0]) for one in read.found] == [("sign", f"gyro_{axis}")]
+    assert [(one.kind, one.channel) for one in read.found] == [("frame", f"gyro_{axis}")]
+    assert f"gyro_{axis} shows −{axis} (a left-handed triad)" in read.found[0].text
 
 
 def test_quaternions_the_other_way_round_are_found(tmp_path: Path) -> None:

@@ -68,6 +68,16 @@ def test_gyros_that_count_the_other_way_are_named() -> None:
     assert "the gyros counting the other way, all three" in said(values)[0]
 
 
+@pytest.mark.parametrize("order", [(1, 2, 0), (1, 0, 2)])
+def test_gyros_along_other_axes_are_named_and_accelerometers_where_it_may_be_they(order: tuple[int, ...]) -> None:
+    values = posed(5)
+    values[:, 3:] = values[:, 3:][:, order]
+    (found,) = said(values)
+    shown = ", ".join(f"g{'xyz'[k]} shows +{'xyz'[axis]}" for k, axis in enumerate(order) if k != axis)
+    assert f"it would fit with {shown}" in found
+    assert (", or a" in found) == (order == (1, 2, 0))  # a mirrored triad of gyros is no triad of accelerometers
+
+
 def test_rates_in_another_unit_than_stated_are_told_from_a_sensitivity_that_is_off() -> None:
     values = posed(6)
     values[:, 3:] = np.degrees(values[:, 3:])

@@ -13,6 +13,7 @@ import numpy as np
 from rig.archive.records import Recorded
 from rig.errors import BadInput
 from rig.foreign import faults
+from rig.foreign.finding import MISREAD
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
 from rig.model import Term
@@ -22,7 +23,7 @@ from rig.parts.reading.reading import Reading
 from rig.parts.reference_gain import gains_of, shared
 
 Reader = Callable[[Foreign], Reading]
-DOUBTFUL = ("unit", "turns")  # findings on import with which no model is adequate, whatever it leaves over
+DOUBTFUL = ("unit", "turns", *MISREAD)  # findings on import with which no model is adequate, whatever it leaves over
 
 
 def read(runs: Sequence[Recorded]) -> Reading:

@@ -42,6 +42,7 @@ WOW = 1.8  # Hz; a platter at a steady speed has lines only above this, twice pe
 SLOW = 0.3  # Hz; slower motion is kept whole
 NEIGHBOURS = 40  # lines of a transform on either side
 KNOT = 48  # lines between knots of the track: wow passes, the patterns that sampled edges leave do not
+END = 16  # windows at either end of a record whose parabola tells how the rate changes there: half a second
 LOCAL = 15  # lines on either side whose median interval says how long one should take
 
 
@@ -248,21 +249,43 @@ def _cleared(rate: Array, acceleration: Array, width: float, u_time: float, smoo
 
     Noise in what a model takes as given makes every fitted sensitivity too small (errors in variables). The lines of a
     cosine transform that do not stand out from that noise are therefore left out: what is left is close to the
-    expectation of the true motion, which has no such bias. One edge is uncertain by ω·u_time, so the rate's density is
-    (2πf)²·2·(ω·u_time)² ÷ lines per second; above `smooth` (Hz), where true motion has lines only, it is whatever lies
-    around them, because sampled edges leave patterns.
+    expectation of the true motion, which has no such bias. The rate's own bend is put aside meanwhile.
     """
     from scipy.fft import dct, idct
 
-    count = len(rate)
-    f = np.arange(count) / (2.0 * count * width)
+    f, bend = np.arange(len(rate)) / (2.0 * len(rate) * width), _bend(rate)
     speed = float(np.median(np.abs(rate)))
+    whole, lines, slopes = (dct(one, type=2, norm="ortho") for one in (rate, rate - bend, acceleration))
+    known = _outstanding(lines, f, width, speed, u_time, smooth) & (f < HIGHEST_RATE)
+    steep = _outstanding(whole, f, width, speed, u_time, smooth) & (f < SMOOTH)
+    rate, acceleration = (
+        idct(np.where(kept, one, 0.0), type=2, norm="ortho") for kept, one in ((known, lines), (steep, slopes))
+    )
+    return rate + bend, acceleration
+
+
+def _outstanding(lines: Array, f: Array, width: float, speed: float, u_time: float, smooth: float) -> NDArray[np.bool_]:
+    """Lines of a rate, at `f` Hz, that stand out from timing noise.
+
+    One edge is uncertain by ω·u_time, so the rate's density is (2πf)²·2·(ω·u_time)² ÷ lines per second; above `smooth`
+    (Hz), where true motion has lines only, it is whatever lies around them, because sampled edges leave patterns.
+    """
     floor = (2.0 * math.pi * f) ** 2 * 2.0 * (speed * u_time) ** 2 / (speed * LINES / (2.0 * math.pi))
-    lines, slopes = (dct(one, type=2, norm="ortho") for one in (rate, acceleration))
     density = lines**2 * 2.0 * width
-    kept = (density > OUTSTANDING * np.where(f > smooth, _around(density), floor)) | (f < SLOW)
-    rate = idct(np.where(kept & (f < HIGHEST_RATE), lines, 0.0), type=2, norm="ortho")
-    return rate, idct(np.where(kept & (f < SMOOTH), slopes, 0.0), type=2, norm="ortho")
+    return np.asarray((density > OUTSTANDING * np.where(f > smooth, _around(density), floor)) | (f < SLOW))
+
+
+def _bend(values: Array) -> Array:
+    """A parabola that rises or falls at both ends as the values do, (n,).
+
+    To a cosine transform the ends are mirrors, and a platter that speeds up has a kink there: its lines fall with 1/f²
+    only and stand above a good gyro's noise beyond `SMOOTH`, where those around them are as high and none stands out.
+    """
+    if len(values) < 2 * END:
+        return np.zeros(len(values))
+    at, u = np.arange(END) + 0.5, np.arange(len(values)) + 0.5
+    first, last = (float(np.polyfit(at, one[:END], 2)[1]) for one in (values, values[::-1]))
+    return first * u - (last + first) * u**2 / (2.0 * len(values))
 
 
 def _around(density: Array) -> Array:

@@ -59,9 +59,9 @@ def _score(found: Fit, number: int, covariance: Array, columns: Sequence[Array])
     size = np.where(size > 0.0, size, 1.0)
     seen = np.zeros((found.layout.size, v.shape[1]))
     for block in found.blocks:
-        begin, end = block.rows.start - first, block.rows.stop - first
-        if begin >= 0 and end <= len(v):
-            seen[block.columns] += block.matrix.T @ v[begin:end]
+        here = block.rows - first
+        if len(here) and here[0] >= 0 and here[-1] < len(v):
+            seen[block.columns] += block.matrix.T @ v[here]
     free = (square - seen.T @ covariance @ seen) / np.outer(size, size)
     down = v.T @ found.left[first : first + len(v)] / size
     values, vectors = np.linalg.eigh(free)

@@ -118,7 +118,7 @@ def _extended(found: Fit, part: Part) -> tuple[Array, Array, Array]:
     raw = part.raw(state.local(part, len(parts) - 1), state.terms)
     columns = np.zeros((part.rows, order.size))
     for block in fitting.blocks_of(part, len(parts) - 1, state, order, raw):
-        columns[block.rows, block.columns] += block.matrix
+        columns[np.ix_(block.rows, block.columns)] += block.matrix
     old = fitting.layout(found.parts, found.state)
     normal = np.zeros((order.size, order.size))
     places = _places(old, order)

@@ -103,7 +103,7 @@ class _Sight:
     raws: tuple[NDArray[np.inexact], ...]
     counting: NDArray[np.intp]
     left: Array
-    blocks: tuple[fitting.Block, ...]
+    places: tuple[slice, ...]  # of the rows of the model's blocks among those that count
     memory: Memory
 
     @classmethod
@@ -111,15 +111,16 @@ class _Sight:
         raws = tuple(fitting.predicted(found.parts, found.state))
         counted = np.concatenate([part.counted for part in found.parts])
         counted = counted if found.use is None else counted & found.use
-        blocks = tuple(_counting(block, counted) for block in found.blocks)
         inverse, counting = fitting.inverse(found.normal), np.flatnonzero(counted)
-        return cls(found, inverse, raws, counting, found.left[counting], blocks, {} if memory is None else memory)
+        first = (int(np.searchsorted(counting, block.rows[:1].sum())) for block in found.blocks)
+        places = tuple(slice(a, a + len(block.rows)) for a, block in zip(first, found.blocks, strict=True))
+        return cls(found, inverse, raws, counting, found.left[counting], places, {} if memory is None else memory)
 
     def cross(self, columns: Array) -> Array:
         """Products with the model's columns, (parameters, k) or (parameters,)."""
         found = np.zeros((len(self.inverse), *columns.shape[1:]))
-        for block in self.blocks:
-            here = columns[block.rows]
+        for block, places in zip(self.found.blocks, self.places, strict=True):
+            here = columns[places]
             if here.any():
                 found[block.columns] += block.matrix.T @ here
         return found
@@ -149,12 +150,6 @@ class _Sight:
             columns.append(fitting.term_columns(part, local, terms, term, here))
             moved.append(np.zeros(part.rows) if here is raw else part.whitened(here - raw))
         return np.concatenate(columns)[self.counting], np.concatenate(moved)[self.counting]
-
-
-def _counting(block: fitting.Block, counted: NDArray[np.bool_]) -> fitting.Block:
-    """A block of the rows that count, which stand one after the other."""
-    before, here = int(np.count_nonzero(counted[: block.rows.start])), counted[block.rows]
-    return fitting.Block(slice(before, before + int(np.count_nonzero(here))), block.columns, block.matrix[here])
 
 
 def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> list[Score]:

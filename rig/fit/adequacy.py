@@ -92,11 +92,10 @@ def _predicted(whole: Fit, trained: Fit, number: int) -> Iterator[Group]:
     part, first = whole.parts[number], whole.offsets()[number]
     assert trained.use is not None
     out = part.counted & ~trained.use[first : first + part.rows]
-    blocks = [one for one in whole.blocks if first <= one.rows.start < first + part.rows]
     for name, domain, mask, rows in _kinds(part, out):
         if len(rows):
-            block = next(one for one in blocks if one.rows.start <= first + rows[0] < one.rows.stop)
-            matrix = block.matrix[first + rows - block.rows.start]
+            block = next(one for one in whole.blocks if first + rows[0] in one.rows)
+            matrix = block.matrix[np.searchsorted(block.rows, first + rows)]
             chi2 = distance(whole.left[first + rows], matrix, block.columns, trained.normal)
             allowance = part.allowance_of(name, mask)
             yield Group(part.name, part.experiment, name, domain, chi2, len(rows), allowance)

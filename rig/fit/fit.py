@@ -93,9 +93,9 @@ def begin(
 
 @dataclass(frozen=True)
 class Block:
-    """Columns of some rows of the whole problem: `columns` says which parameters they belong to."""
+    """Columns of those rows of the whole problem that count: `columns` says which parameters they belong to."""
 
-    rows: slice
+    rows: Indices
     columns: Indices
     matrix: Array
 
@@ -376,7 +376,8 @@ def blocks_of(
     part: Part, number: int, state: State, order: Layout, raw: NDArray[np.inexact], first: int = 0,
     mask: NDArray[np.bool_] | None = None,
 ) -> list[Block]:  # fmt: skip
-    """Columns of all parameters for the rows of one part, `raw` being its prediction at the state."""
+    """Columns of all parameters for the rows of one part that count, `raw` being its prediction at the state."""
+    counted = part.counted if mask is None else part.counted & mask
     local = state.local(part, number)
     own = part.own_columns(local, state.terms, raw)
     shared, where = [part.extra], [order.nuisances[number] + np.arange(part.extra.shape[1])]
@@ -388,14 +389,13 @@ def blocks_of(
     mine = order.own(part, number)
     blocks = []
     for rows, channels in part.blocks():
-        local_columns = [one[rows] if one.ndim == 2 else one[rows, None] for one in own]
-        matrix = np.concatenate([*local_columns, common[rows]], axis=1)
-        if mask is not None:
-            matrix = matrix * mask[rows, None]
+        here = rows.start + np.flatnonzero(counted[rows])
+        local_columns = [one[here] if one.ndim == 2 else one[here, None] for one in own]
+        matrix = np.concatenate([*local_columns, common[here]], axis=1)
         index = np.concatenate([*(mine[channels, k] for k in range(3)), columns])
         if state.shared:
             index, matrix = _merged(index, matrix)
-        blocks.append(Block(slice(first + rows.start, first + rows.stop), index, matrix))
+        blocks.append(Block(first + here, index, matrix))
     return blocks
 
 

@@ -206,7 +206,7 @@ def test_columns_are_the_derivatives_of_the_rows() -> None:
     found = linearised([part], state)
     whole = np.zeros((part.rows, found.layout.size))
     for block in found.blocks:
-        whole[block.rows, block.columns] = block.matrix
+        whole[np.ix_(block.rows, block.columns)] = block.matrix
     for k in range(found.layout.size):
         size = 1e-3 if found.layout.zeros[0] <= k < found.layout.zeros[0] + 6 else 1e-6
         step = np.zeros(found.layout.size)

@@ -67,8 +67,8 @@ def promised(found: Fit, term: Term) -> float:
     part = found.parts[0]  # none of the candidates is noise
     local, terms = found.state.local(part, 0), found.state.terms
     model = np.zeros((part.rows, found.layout.size))
-    for block in (one for one in found.blocks if one.rows.stop <= part.rows):
-        model[block.rows, block.columns] = block.matrix
+    for block in (one for one in found.blocks if one.rows[-1] < part.rows):
+        model[np.ix_(block.rows, block.columns)] = block.matrix
     columns = fitting.term_columns(part, local, terms, term)
     inside, inverse = model.T @ columns, fitting.inverse(found.normal)
     outside = columns.T @ columns - inside.T @ inverse @ inside

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.foreign.finding import runs
+
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 SIDE = 3  # rows on either side
 FAR = 6.5  # standard deviations of what noise leaves
+OFF = 5.0  # of them, where rows are alike that hardly ever are: of three hundred such, noise is as far off in 1e-4
+FINE = 0.05  # share of rows that are like the one before, up to which they hardly ever are
 KNOCK = 3.5  # of them, in another signal at about the same row: a case that was knocked
 ABOUT = 7  # rows on either side
 QUIET = 4.5  # of them, about a row that was taken out
@@ -34,7 +38,8 @@ def isolated(values: Array, time: Array) -> Rows:
     held = _against(values, time)
     if held is None:
         return np.zeros(0, np.intp)
-    return held.rows[_standing(held, FAR * max(1.0, _tails(held.share)) ** STRICTER)]
+    heavier = max(1.0, _tails(held.share)) ** STRICTER
+    return held.rows[np.union1d(_standing(held, FAR * heavier), _alike(held, OFF * heavier)).astype(np.intp)]
 
 
 def jumping(values: Array, time: Array) -> NDArray[np.bool_]:
@@ -64,7 +69,7 @@ def _against(values: Array, time: Array) -> _Held | None:
     """None of too few rows, or such as scatter nowhere."""
     later = np.flatnonzero(np.isfinite(values) & np.isfinite(time))
     later = later[np.diff(np.maximum.accumulate(time[later]), prepend=-np.inf) > 0.0]
-    if len(later) < FEWEST:
+    if len(later) < FEWEST or not np.ptp(values[later]) > 0.0:
         return None
     known = values[later]
     span = time[later][2 * SIDE :] - time[later][: -2 * SIDE]
@@ -154,17 +159,41 @@ def _group(held: _Held, row: int) -> list[int]:
     """The fewest rows about this one without which all is quiet; none if there are none such."""
     for count in range(1, TOGETHER + 1):
         for first in range(row - count + 1, row + 1):
-            begin, end = first - 3 * SIDE, first + count + 3 * SIDE
-            if begin < 0 or end > len(held.known):
-                continue
-            out = np.arange(first, first + count)
-            filled = held.known[begin:end].copy()
-            filled[out - begin] = _through(held, out, row)
-            left = np.abs(_off(filled, held.weights[:, begin:end])) / held.scatter[begin:end]
-            moved = np.abs(held.known[out] - filled[out - begin])
-            if left[SIDE:-SIDE].max() < QUIET and (moved > QUIET * held.scatter[out]).all():
+            if _off_alone(held, out := np.arange(first, first + count), row) > QUIET:
                 return [int(one) for one in out]
     return []
+
+
+def _alike(held: _Held, limit: float) -> list[int]:
+    """Rows that are like the one before where hardly any are, and off: held, or cut off at the top of a swing.
+
+    Two together draw the polynomial through the others after them, so that each by itself is not far off; but so few
+    are alike by chance that less will do.
+    """
+    same = np.diff(held.known) == 0.0
+    if same.mean() > FINE:
+        return []
+    found: list[int] = []
+    for first, more in runs(same):
+        rows = np.arange(first, first + more + 1)
+        if len(rows) <= TOGETHER:
+            stand = next((out for out in (rows, rows[1:]) if _off_alone(held, out, int(out[0])) > limit), rows[:0])
+            found += [int(one) for one in stand]
+    return found if len(found) <= MOST else []
+
+
+def _off_alone(held: _Held, out: Rows, row: int) -> float:
+    """How far the nearest of some rows is off what leads through those about them, in units of the scatter; nothing
+    unless all is quiet without them.
+    """
+    begin, end = int(out[0]) - 3 * SIDE, int(out[-1]) + 1 + 3 * SIDE
+    if begin < 0 or end > len(held.known):
+        return 0.0
+    filled = held.known[begin:end].copy()
+    filled[out - begin] = _through(held, out, row)
+    left = np.abs(_off(filled, held.weights[:, begin:end])) / held.scatter[begin:end]
+    moved = np.abs(held.known[out] - filled[out - begin]) / held.scatter[out]
+    return float(moved.min()) if left[SIDE:-SIDE].max() < QUIET else 0.0
 
 
 def _through(held: _Held, out: Rows, row: int) -> Array:

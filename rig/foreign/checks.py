@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.foreign import frames, turns
+from rig.foreign import frames, straying, turns
 from rig.foreign import lines as foreign_lines
 from rig.foreign import pairs as foreign_pairs
 from rig.foreign.faults import FROZEN, GAP, STILL, faults
@@ -37,7 +37,7 @@ DROPPED = 5  # whole rows that repeat
 def findings(data: Foreign) -> list[Finding]:
     """Everything that looks wrong in imported data, file by file."""
     found = [data.located(table, one) for table in data.tables for one in _of_table(data, table)]
-    return [*found, *foreign_lines.across(data)]
+    return [*found, *foreign_lines.across(data), *straying.findings(data)]
 
 
 def _of_table(data: Foreign, table: Table) -> Iterator[Finding]:

@@ -44,7 +44,7 @@ def findings(data: Foreign, table: Table) -> Iterator[Finding]:
     """Device and reference of one file with their line at different frequencies."""
     if data.manifest.kind != "sweep":
         return
-    rows, time = _even(data, table)
+    rows, time = even(data, table)
     if not len(time):
         return
     references = [(one, strongest(time, data.si(table, one)[rows])) for one in data.manifest.of("reference")]
@@ -71,7 +71,7 @@ def across(data: Foreign) -> list[Finding]:
     return found
 
 
-def _even(data: Foreign, table: Table) -> tuple[NDArray[np.int64], Array]:
+def even(data: Foreign, table: Table) -> tuple[NDArray[np.int64], Array]:
     """Rows and instants that a line can be fitted to; none if time does not run."""
     rows, time = running(data, table)
     if len(time) < 64:
@@ -101,7 +101,7 @@ def strongest(time: Array, values: Array) -> float | None:
 def _commanded(data: Foreign, table: Table) -> Line | None:
     """The line of a file that says what it was driven with: of its drive, else of its reference."""
     wanted = frequency_setting(table)
-    rows, time = _even(data, table)
+    rows, time = even(data, table)
     if wanted is None or not len(time):
         return None
     for column in [*data.manifest.of("drive"), *data.manifest.of("reference"), *data.manifest.of("device")]:
@@ -219,7 +219,7 @@ def _spectrum(data: Foreign, table: Table, column: Column) -> tuple[Array, Array
     """Power over its running median, lines of the drive taken out; frequency (m,), ratio (m,)."""
     from scipy.ndimage import median_filter
 
-    rows, time = _even(data, table)
+    rows, time = even(data, table)
     values = data.si(table, column)[rows]
     if len(time) < 512 or not np.isfinite(values).all() or float(np.ptp(values)) == 0.0:
         return None

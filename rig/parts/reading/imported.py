@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.archive.records import Recorded
 from rig.errors import BadInput
-from rig.foreign import faults
+from rig.foreign import faults, straying
 from rig.foreign.finding import MISREAD
 from rig.foreign.manifest import Manifest
 from rig.foreign.tables import Foreign, foreign_of, is_foreign
@@ -40,7 +40,8 @@ def reading_of(foreign: Foreign) -> Reading:
     if reader is None:
         wanted = f"wanted one with motion (its noise: `rig show {foreign.run}`)"
         raise BadInput(f"{foreign.run}: found a {kind} record, {wanted}")
-    found, faulty = reader(foreign), (*faults.left_out(foreign), *(o for o in foreign.found if o.kind in DOUBTFUL))
+    found, doubtful = reader(foreign), (one for one in foreign.found if one.kind in DOUBTFUL)
+    faulty = (*faults.left_out(foreign), *straying.findings(foreign), *doubtful)
     for part in found.parts:
         part.faults = faulty
     by_experiment: dict[str, list[str]] = {}

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.faults import bridged, without_faults
+from rig.foreign.faults import bridged, faults, without_faults
+from rig.foreign.finding import Finding
 from rig.foreign.manifest import Column, Segment, Signed
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Channels
@@ -86,7 +87,17 @@ def _record(foreign: Foreign, number: int, table: Table, find: Finder, by_file: 
     else:
         intervals, said = held_out(intervals, foreign.manifest.compared.held_out)
         notes = [*notes, said]
+    for values, column in zip(numbers, columns, strict=True):
+        _without_cut_off(values, intervals, [one for one in faults(foreign, table, column) if one.kind == "clipped"])
     return _means(foreign, table, number, channels, numbers, time, rate, sorted(intervals, key=_begin), notes)
+
+
+def _without_cut_off(values: Array, intervals: Sequence[Interval], clipped: Sequence[Finding]) -> None:
+    """Leaves out whole intervals in which some rows are cut off: what is left of their noise lies on one side."""
+    for finding in clipped:
+        for one in intervals:
+            if ((finding.rows >= one.first) & (finding.rows < one.last)).any():
+                values[one.first : one.last] = math.nan
 
 
 def _begin(one: Interval) -> int:
@@ -268,10 +279,15 @@ class Whole:
         covariance = np.zeros((len(self.numbers), len(begin), len(begin)))
         since = begin - float(begin.min())
         for here in (one for one in (self.channels.of("acceleration"), self.channels.of("rate")) if len(one)):
-            models = noises_at_rest([[self.numbers[c][part] for part in rest] for c in here], self.rate)
+            models = noises_at_rest([_told([self.numbers[c][part] for part in rest]) for c in here], self.rate)
             for c, model in zip(here, models, strict=True):
                 covariance[c] = model.covariance(since, since + seconds)
         return covariance
+
+
+def _told(parts: Sequence[Array]) -> list[Array]:
+    """Those with a number."""
+    return [one for one in parts if np.isfinite(one).any()]
 
 
 def _refuse_dead(where: str, channels: Channels, parts: Sequence[Array]) -> None:

@@ -488,6 +488,19 @@ def _as_in(whole: Fit, choice: Choice) -> Choice:
     return replace(choice, term=whole.state.terms[places[0]], u=whole.u(places[0]), whole=whole)
 
 
+def _changing(base: Fit, final: Fit, steps: Sequence[Step]) -> bool:
+    """Whether something changes in the course of a record that no effect explains: with all steps taken, or by itself
+    and without them so well that the data exclude them beside it. An effect of time itself explains nearly all of it.
+    """
+    standing = adequacy.unsteady(final)
+    if not steps:
+        return bool(standing)
+    gained = base.objective - final.objective
+    worth = gained - sum(_price(step.taken) for step in steps)
+    rival = max((one.chi2 for one in adequacy.unsteady(base)), default=0.0) - CHANCE
+    return rival > worth + CLASS or max((one.chi2 for one in standing), default=0.0) > SHARE * gained
+
+
 def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Score, ...], imported: bool) -> Diagnosis:
     final = steps[-1].after if steps else base
     before, after = adequacy.excess(base), adequacy.excess(final)
@@ -499,7 +512,7 @@ def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Sco
     verdict: Verdict
     if misread(final):
         verdict = "undecided"
-    elif not fine or (not steps and adequacy.unsteady(final)):
+    elif not fine or _changing(base, final, steps):
         verdict = "unlisted"
     elif not held:
         verdict = "undecided"

@@ -28,7 +28,8 @@ RISK = 0.01  # that noise alone makes any of the groups stand out
 FEWEST = 2  # rows of a group
 EXCEEDS = 3.0  # deviates from which a group counts as more than noise in a sum
 FEWEST_HELD = 8  # rows held out, from which anything can be said of them
-BY_CHANCE = 0.002  # that noise alone leaves too much in any of the parts' directions
+BY_CHANCE = 0.005  # half of that risk: that noise alone leaves too much in any of the parts' directions
+TOLD = 0.02  # of a direction's χ²: what the fit leaves of it, from which it can be told from what the fit adjusts
 
 
 @dataclass(frozen=True)
@@ -114,19 +115,40 @@ def distance(left: Array, matrix: Array, columns: Indices, normal: Array) -> flo
 
 def unsteady(found: Fit) -> list[Group]:
     """Directions of the parts in which more is left than noise: what steps or creeps while χ² of all rows hides it."""
-    tried = list(_directions(found))
+    tried = changes(found)
     most = limit(BY_CHANCE, len(tried))
-    return [one for one in tried if deviate(one.chi2, one.count, one.allowance) > most]
+    return sorted((one for one in tried if _unusual(one) > most), key=lambda one: -_unusual(one))
 
 
-def _directions(found: Fit) -> Iterator[Group]:
+def _unusual(one: Group) -> float:
+    return deviate(one.chi2, one.count, one.allowance)
+
+
+def changes(found: Fit) -> list[Group]:
+    """Every direction in which something of a part may change in its course, with the χ² that it would take away beside
+    all that the fit adjusts.
+    """
+    covariance, offsets = found.covariance, found.offsets()
+    made = []
     for number, part in enumerate(found.parts):
-        rest = found.rest(number)
+        rest, first = found.rest(number), offsets[number]
         left = np.where(rest.used, rest.left, 0.0)
+        blocks = [one for one in found.blocks if len(one.rows) and first <= one.rows[0] < first + part.rows]
         for name, words, columns in part.changes():
-            chi2, mine = float(np.sum((columns.T @ left) ** 2)), part.counted.reshape(len(part.row_names), -1)
-            allowance = part.allowance_of(name, mine[part.row_names.index(name)])
-            yield Group(part.name, part.experiment, name, words, chi2, columns.shape[1], allowance)
+            seen = columns * rest.used[:, None]
+            pull = np.zeros((len(found.normal), seen.shape[1]))
+            for one in blocks:
+                pull[one.columns] += one.matrix.T @ seen[one.rows - first]
+            size = np.sum(seen**2, axis=0)
+            beside = size - np.einsum("ik,ij,jk->k", pull, covariance, pull)
+            tell = beside > TOLD * size
+            mine = part.counted.reshape(len(part.row_names), -1)[part.row_names.index(name)]
+            allowance = part.allowance_of(name, mine)
+            made += [
+                Group(part.name, part.experiment, name, words, float(chi2), 1, allowance)
+                for chi2 in (seen.T @ left)[tell] ** 2 / beside[tell]
+            ]
+    return made
 
 
 def _pulls(found: Fit) -> Iterator[Group]:

@@ -18,6 +18,7 @@ from rig.foreign import outliers
 from rig.foreign.finding import Finding, Rows, listed, runs, stretches_of
 from rig.foreign.isolated import isolated, jumping
 from rig.foreign.manifest import KINDS, Column
+from rig.foreign.repeats import contradicted
 from rig.foreign.tables import Foreign, Table
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ GAP = 1.5  # times the usual interval
 # what stands still by itself, or is a counter: neither frozen values nor clipping mean anything there
 STILL = ("frequency", "magnitude", "phase", "real", "imaginary", "excitation", "temperature", "line_a", "line_b",
          "index_line")  # fmt: skip
+RESPONSES = ("magnitude", "phase", "real", "imaginary")
 SIGNALS = ("acceleration", "rate", "voltage", "unstated")
 
 
@@ -53,6 +55,8 @@ def faults(data: Foreign, table: Table, column: Column) -> list[Finding]:
 
 def _found(data: Foreign, table: Table, column: Column) -> list[Finding]:
     values = table.of(column.column)
+    if data.manifest.kind == "response":
+        return list(_contradicted(data, table, column))
     finite = values[np.isfinite(values)]
     if not KINDS[data.manifest.kind].timed or column.quantity == "quaternion" or column.quantity in STILL:
         return []
@@ -196,13 +200,14 @@ def _frozen(data: Foreign, table: Table, column: Column, values: Array) -> Itera
     """A value that repeats far longer than it would by chance while another channel moves."""
     odd = [one for one in _repeated(values) if one[1] >= FROZEN or column.quantity in SIGNALS]
     odd = [(first, n) for first, n in odd if _moves_beside(values, first, n)]
-    odd = [(first, n) for first, n in odd if n < FROZEN or _others_move(data, table, column, first, n)]
+    told = column.quantity in SIGNALS and _share_alike(values, odd) < FINE  # then chance makes no twenty alike
+    odd = [(first, n) for first, n in odd if told or n < FROZEN or _others_move(data, table, column, first, n)]
     if odd:
         first, n = max(odd, key=lambda one: one[1])
         rows = np.concatenate([np.arange(begin, begin + count) for begin, count in odd])
         where = f"in {len(odd)} stretch{'' if len(odd) == 1 else 'es'}, the longest {n} rows from row {first}"
         text = f"{column.channel}: frozen for {len(rows)} rows {where} (at {values[first]:.6g})"
-        while_ = " while other channels move" if n >= FROZEN else ", where no two rows are alike by chance"
+        while_ = ", where no two rows are alike by chance" if told or n < FROZEN else " while other channels move"
         yield _of(column, "frozen", rows, text + while_)
 
 
@@ -223,6 +228,15 @@ def _repeated(values: Array) -> list[tuple[int, int]]:
         if p < FINE and n > math.log(len(values) / BY_CHANCE) / -math.log(p) + 1.0:
             found.append((first, n))
     return found
+
+
+def _share_alike(values: Array, odd: Sequence[tuple[int, int]]) -> float:
+    """Share of the rows outside these stretches that are like the one before."""
+    steps = np.diff(values)
+    for first, n in odd:
+        steps[first : first + n - 1] = math.nan
+    known = steps[np.isfinite(steps)]
+    return float(np.mean(known == 0.0)) if len(known) else 1.0
 
 
 def _moves_beside(values: Array, first: int, count: int) -> bool:
@@ -260,6 +274,25 @@ def _kin(data: Foreign, one: Column, other: Column) -> bool:
         return rotation is not None and rotation.axis in (one.axis, other.axis)
     groups = (("rate",), ("angle",), ("acceleration", "unstated", "voltage"), ("position",))
     return any(one.quantity in group and other.quantity in group for group in groups)
+
+
+# repeats in a table
+
+
+def _contradicted(data: Foreign, table: Table, column: Column) -> Iterator[Finding]:
+    """Repeats that lie far off the others at their frequency: sizes by their ratio, phases by their difference."""
+    frequency = data.manifest.of("reference", "frequency")
+    if column.quantity not in RESPONSES or not frequency:
+        return
+    values = data.si(table, column)
+    if column.quantity == "magnitude":
+        values = np.log(np.where(values > 0.0, values, math.nan))
+    elif column.quantity == "phase":
+        values = np.unwrap(np.nan_to_num(values))
+    rows = contradicted(values, data.si(table, frequency[0]))
+    if n := len(rows):
+        text = f"{column.channel}: {n} row{'' if n == 1 else 's'} of {column.quantity} contradict{'s' * (n == 1)}"
+        yield _of(column, "alone", rows, f"{text} the repeats at the same frequency: {listed(rows)}")
 
 
 # the reference's angle

@@ -222,7 +222,9 @@ class Part(ABC):
         """Variance of the noise of every number compared, referred to the input, SI², (names, width)."""
 
     def changes(self) -> Iterator[tuple[str, str, Array]]:
-        """Directions in which rows may err while χ² of all hides it: a name, words, orthonormal columns (rows, k)."""
+        """What may change in the course of a record while χ² of all rows hides it: a name, words, and what each of k
+        such changes does to the rows, (rows, k), of any size.
+        """
         return iter(())
 
     def numbers(self) -> Array:

@@ -34,6 +34,7 @@ from rig.signals.noise import NoiseModel
 GRAVITY = "gravity"
 TILT = math.radians(2.0)  # how well the axis of a turn is along that of the case, standard uncertainty of each angle
 SETTLED = 1e-9  # m/s²: what was felt is found if it moves by less
+STEPS_TRIED = 12  # between poses at which a step is tried
 STEPS = 12
 NEARBY = 1e-3  # m/s², over which a derivative of the outputs is taken
 UPRIGHT = 0.8  # cosine, above which an axis counts as the upright one
@@ -267,6 +268,24 @@ class Poses(Part):
         gain = np.stack([self.whitened(self.raw(one, terms) - raw) for one in gains], axis=1) / STEP
         zero = np.stack([self.whitened(self.raw(one, terms) - raw) for one in zeros], axis=1) / width
         return [gain, np.zeros_like(gain), zero]
+
+    def changes(self) -> Iterator[tuple[str, str, Array]]:
+        """What a step or a trend of a sensitivity or a zero of the triad does to gravity in the course of the poses."""
+        if not len(self._triad):
+            return
+        pole = np.full(len(self.channels.names), math.inf)
+        local = Local(self.channels.sensitivity, pole, self.zeros)
+        order = np.argsort(np.argsort(self.data.time, kind="stable"), kind="stable") / max(self.width - 1, 1)
+        laws = [*((order > at).astype(np.float64) for at in np.linspace(0.0, 1.0, STEPS_TRIED + 2)[1:-1]), order]
+        raw = self.raw(local, ())
+        for c in self._triad:
+            one = np.zeros(len(pole))
+            one[c] = abs(float(self.channels.sensitivity[c]))
+            gain = self.raw(replace(local, sensitivity=local.sensitivity + STEP * one), ()) - raw
+            zero = self.raw(replace(local, zero=local.zero + STEP * self.data.gravity * one), ()) - raw
+            for words, moved in (("sensitivity", gain), ("zero", zero)):
+                columns = np.stack([self.whitened(moved * law) for law in laws], axis=1)
+                yield GRAVITY, f"{words} of {self.channels.names[c]} in the course of time", columns / STEP
 
     def blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
         """All rows, all channels: a magnitude belongs to three of them."""

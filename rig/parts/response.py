@@ -28,6 +28,7 @@ from rig.parts.remainder import Cut, Mask
 
 CLOSE = 1e-6  # relative: one frequency
 NEIGHBOURS = 2  # frequencies on either side that repeats' scatter is pooled over
+STEPS = 12  # places in the table at which a step is tried
 CONFOUNDED = 0.8  # correlation of the logarithms of level and frequency
 
 
@@ -35,7 +36,8 @@ CONFOUNDED = 0.8  # correlation of the logarithms of level and frequency
 class ResponseRecords:
     """p measured points of one channel: `frequency` Hz, `excitation` m/s², complex `ratio`, standard uncertainties of
     `magnitude` (of the ratio's unit) and `phase` (rad) as stated, zero where nothing is; `repeat` counts them at each
-    frequency; all (p,). `held_out` (p,): a model is judged by them.
+    frequency, `row` is the number of each in the order in which they were measured; all (p,). `held` (p,): a model is
+    judged by them.
     """
 
     name: str
@@ -47,6 +49,7 @@ class ResponseRecords:
     u_magnitude: Array
     u_phase: Array
     repeat: NDArray[np.intp]
+    row: NDArray[np.intp]
     held: Mask
     gravity: float
     notes: tuple[str, ...] = ()
@@ -193,6 +196,20 @@ class ResponseTable(Part):
                     inside = (values >= some[0]) & (values <= some[-1])
                     found.append(Cut(kind, f"{some[0]:.3g}–{some[-1]:.3g} {unit}", np.repeat(inside, 2)))
         return found
+
+    def changes(self) -> Iterator[tuple[str, str, Array]]:
+        """What repeats show of a step or a trend of size and of phase in the order in which rows were measured.
+
+        Means of frequencies say nothing of it: a frequency may well have another response than the one before.
+        """
+        row = self.data.row
+        at = np.quantile(row, np.linspace(0.0, 1.0, STEPS + 2)[1:-1])
+        laws = [*((row > one).astype(np.float64) for one in at), row / max(int(row.max()), 1)]
+        is_mean = np.concatenate([np.arange(len(variance)) == 0 for _, _, variance in self._turns])
+        for k, words in enumerate(("size", "phase")):
+            columns = np.stack([self.whitened(law[None] * (1.0, 1j)[k]) for law in laws], axis=1)
+            columns[np.repeat(is_mean, 2)] = 0.0
+            yield self.row_names[0], f"its {words} in the course of the table", columns
 
     def origin(self, name: str) -> Origin:
         return "repeats" if len(self.data.frequency) > len(self._turns) else "stated"

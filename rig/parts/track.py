@@ -39,7 +39,8 @@ KNOWN_ALLOWANCE = 0.06  # of a density that was found elsewhere than in the misf
 WIDER = 1.5  # of the band: what the reference lets through of its noise
 NEAR = 5  # instants that a filter ties to each other
 STANDS = 0.1  # of a channel's rms: less is no motion
-TELLS = 10.0  # standard deviations of a channel's motion in a stretch, with which it has a gain of its own
+TELLS = 10.0  # standard deviations of a motion in a channel, of whose change something could be told
+STEPS = 12  # instants at which a step is tried: one between two of them is seen with nine tenths of its size
 APART = 3600.0  # s between two files, of which nobody knows the order
 
 
@@ -510,24 +511,42 @@ class TrackedMotion(Part):
         return np.full(len(self.row_names), float(len(inside))) if kept is None else kept[:, inside].sum(1, np.float64)
 
     def changes(self) -> Iterator[tuple[str, str, Array]]:
-        """What a gain of its own in every stretch does beside one for all, of every channel that moves; and a trend."""
+        """Of every channel's answer to each axis of the motion what a step of it does at many instants, and a trend.
+
+        A step of unknown time takes one parameter where a gain of its own in every stretch takes many, so that weaker
+        ones show; what creeps looks like a step half-way, and more like a trend.
+        """
         motion, channels = self.reference, self.channels
-        own = np.where(channels.rates[:, None], motion.rate[channels.axis], motion.force[channels.axis])
-        rows = self.whitened(own * channels.sensitivity[:, None]).reshape(len(channels.names), -1)
-        rows[:, self.frequency_of == 0.0] = 0.0  # a zero that wanders is no gain
+        late = self._late
         for row, name in enumerate(channels.names):
-            each = self.stretch_of[:, None] == np.arange(len(self._frequencies))
-            columns = each * rows[row][:, None]
-            sizes = np.linalg.norm(columns, axis=0)
-            tell = (sizes > TELLS) & self._throughout(own[row])
-            if tell.sum() > 1:
-                found = np.zeros((len(channels.names), self.width, int(tell.sum())))
-                found[row] = columns[:, tell] / sizes[tell]
-                begin = np.array([self.data.time[first] for first, _ in self.data.stretches])[tell]
-                late = begin - np.average(begin, weights=sizes[tell] ** 2)
-                apart = np.linalg.qr(np.stack([sizes[tell], sizes[tell] * late], axis=1), mode="complete")[0]
-                for words, some in (("its gain in the course of time", apart[:, 1:]), ("a trend", apart[:, 1:2])):
-                    yield name, words, found.reshape(self.rows, -1) @ some
+            along = motion.rate if channels.rates[row] else motion.force
+            for axis in range(3):
+                answer = along[axis] * channels.sensitivity[row]
+                moving = self._throughout(answer)[self.stretch_of] & (self.frequency_of > 0.0)  # a zero is no gain
+                columns = np.stack([self._of_channel(row, answer * law) for law in late], axis=1)
+                columns *= np.tile(moving, len(channels.names))[:, None]
+                own = axis == int(channels.axis[row])
+                words = "gain" if own else f"answer to axis {'xyz'[axis]}"
+                always = columns[:, 0]
+                if (size := float(np.linalg.norm(always))) > TELLS:
+                    columns -= np.outer(always, always @ columns) / size**2  # what is always there is no change
+                    yield name, f"its {words} in the course of time", columns[:, 1:-1]
+                    yield name, "a trend" if own else f"a trend of its {words}", columns[:, -1:]
+
+    @cached_property
+    def _late(self) -> list[Array]:
+        """One for all instants, steps at some, and a trend, each (n,)."""
+        data = self.data
+        inside = np.concatenate([np.arange(begin, end) for begin, end in data.stretches])
+        order = np.arange(len(data.time), dtype=np.float64)
+        at = inside[np.linspace(0, len(inside) - 1, STEPS + 2)[1:-1].astype(np.intp)]
+        return [np.ones(len(order)), *(np.where(order < one, 0.0, 1.0) for one in at), order / len(order)]
+
+    def _of_channel(self, row: int, values: Array) -> Array:
+        """Rows of a change (n,) of one channel's output, (rows,)."""
+        whole = np.zeros((len(self.channels.names), len(values)))
+        whole[row] = values
+        return self.whitened(whole)
 
     def _throughout(self, own: Array) -> Mask:
         """Stretches that move most of the time: where motion begins, what the reference smooths looks like a gain."""

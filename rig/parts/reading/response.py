@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import BadInput
+from rig.foreign.faults import faults
 from rig.foreign.manifest import Column
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels
@@ -40,6 +42,7 @@ def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> Respon
     if not np.isfinite(u_magnitude + u_phase).all():
         raise BadInput(f"{foreign.run} {table.label}: found uncertainties that are no numbers, wanted one in every row")
     order = np.argsort(frequency, kind="stable")
+    order = order[~np.isin(order, _left_out(foreign, table))]
     place = places_of(frequency[order])
     repeat = np.concatenate([np.arange(n) for n in np.bincount(place)])
     held = np.full(len(order), table.held_out) if by_file else place % HELD_OUT == HELD_OUT - 1
@@ -56,8 +59,14 @@ def _table(foreign: Foreign, number: int, table: Table, by_file: bool) -> Respon
     return ResponseRecords(
         name=f"{foreign.run}#{number}", run=foreign.run, channels=_channels(first, sign), frequency=frequency[order],
         excitation=along[order], ratio=ratio[order], u_magnitude=u_magnitude[order], u_phase=u_phase[order],
-        repeat=repeat, held=held, gravity=made.gravity.value, notes=notes,
+        repeat=repeat, row=order, held=held, gravity=made.gravity.value, notes=notes,
     )  # fmt: skip
+
+
+def _left_out(foreign: Foreign, table: Table) -> NDArray[np.intp]:
+    """Rows that are no measurement."""
+    found = [one.rows for column in foreign.manifest.of("device") for one in faults(foreign, table, column)]
+    return np.concatenate([np.zeros(0, np.intp), *found])
 
 
 def _ratio(foreign: Foreign, table: Table, device: Mapping[str, Column]) -> tuple[Complexes, Array, Array, Column]:

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from rig.diagnose.diagnose import Choice, Diagnosis
 from rig.fit import fit as fitting
 from rig.fit.evidence import Evidence
-from rig.fit.fit import Fit
 from rig.fit.quality import on_all_rows
 from rig.motion import Array
 from rig.parts import experiments
@@ -72,42 +70,53 @@ def ranked(diagnosis: Diagnosis, floor: Floor | None = None) -> list[Ranked]:
     found = []
     for option in experiments.options(diagnosis.base.parts):
         part = option.part().with_ripple(floor)
-        powers = [(power(one, other, part), (one.name, other.name)) for one, other in _pairs(open_ones)]
-        least, pair = min(powers)
+        made = [_foreseen(one, part) for one in open_ones]
+        least, pair = min(
+            (_left_with(made[rival], made[truth]), (open_ones[truth].name, open_ones[rival].name))
+            for truth, rival in _pairs(len(open_ones))
+        )
         found.append(Ranked(option, least, pair))
     return sorted(found, key=lambda one: (-min(one.power, 4.0 * DECIDES), one.option.minutes, -one.power))
 
 
-def _pairs(open_ones: Sequence[Choice]) -> Iterator[tuple[Choice, Choice]]:
-    """The best against each of the others, both ways round: the truth may be either."""
-    for other in open_ones[1:]:
-        yield open_ones[0], other
-        yield other, open_ones[0]
+def _pairs(count: int) -> Iterator[tuple[int, int]]:
+    """The first against each of the others, both ways round: the truth may be either."""
+    for other in range(1, count):
+        yield 0, other
+        yield other, 0
 
 
 def power(truth: Choice, rival: Choice, part: Part) -> float:
     """χ² that the rival would be left with if the first were true and this part were measured."""
-    assert truth.fit is not None
-    assert rival.fit is not None
-    expected = part.whitened(part.raw(_local(truth.fit, part), truth.fit.state.terms))
-    normal, columns, predicted = _extended(rival.fit, part)
-    left = expected - predicted
-    gradient = columns.T @ left
-    whole = normal + columns.T @ columns
-    return max(float(left @ left) - float(gradient @ fitting.inverse(whole) @ gradient), 0.0)
+    return _left_with(_foreseen(rival, part), _foreseen(truth, part))
 
 
-def _local(found: Fit, part: Part) -> Any:
-    """A model's channels in a part that has not been measured; zeros of a part of the same place."""
-    for number, other in enumerate(found.parts):
-        if other.alike(part) and other.channels.names == part.channels.names:
-            return found.state.local(part, number)
-    raise ValueError(f"found no part like {part.name}")
+@dataclass(frozen=True)
+class _Foreseen:
+    """What a model makes of a part that has not been measured: whitened rows, their columns, and the inverse of its
+    normal matrix with this part, whose own zeros are free.
+    """
+
+    rows: Array
+    blocks: Sequence[fitting.Block]
+    inverse: Array
 
 
-def _extended(found: Fit, part: Part) -> tuple[Array, Array, Array]:
-    """The rival's normal matrix, columns and prediction with the new part's own zeros free."""
-    number = next(n for n, p in enumerate(found.parts) if p.alike(part))
+def _left_with(rival: _Foreseen, truth: _Foreseen) -> float:
+    left = truth.rows - rival.rows
+    gradient = np.zeros(len(rival.inverse))
+    for block in rival.blocks:
+        gradient[block.columns] += block.matrix.T @ left[block.rows]
+    return max(float(left @ left) - float(gradient @ rival.inverse @ gradient), 0.0)
+
+
+def _foreseen(choice: Choice, part: Part) -> _Foreseen:
+    """Raises ValueError if the choice's fit has no part like this one, from which its zeros could be taken."""
+    found = choice.fit
+    assert found is not None
+    number = next((n for n, one in enumerate(found.parts) if one.alike(part)), None)
+    if number is None:
+        raise ValueError(f"found no part like {part.name}")
     state = replace(
         found.state,
         zero=(*found.state.zero, found.state.zero[number]),
@@ -116,16 +125,15 @@ def _extended(found: Fit, part: Part) -> tuple[Array, Array, Array]:
     parts = (*found.parts, part)
     order = fitting.layout(parts, state)
     raw = part.raw(state.local(part, len(parts) - 1), state.terms)
-    columns = np.zeros((part.rows, order.size))
-    for block in fitting.blocks_of(part, len(parts) - 1, state, order, raw):
-        columns[np.ix_(block.rows, block.columns)] += block.matrix
-    old = fitting.layout(found.parts, found.state)
-    normal = np.zeros((order.size, order.size))
-    places = _places(old, order)
-    normal[np.ix_(places, places)] = found.normal
+    blocks = fitting.blocks_of(part, len(parts) - 1, state, order, raw)
+    whole = np.zeros((order.size, order.size))
+    places = _places(fitting.layout(found.parts, found.state), order)
+    whole[np.ix_(places, places)] = found.normal
     own = order.nuisances[-1] + np.arange(part.extra.shape[1])
-    normal[own, own] += 1.0  # their prior
-    return normal, columns, part.whitened(raw)
+    whole[own, own] += 1.0  # their prior
+    for block in blocks:
+        whole[np.ix_(block.columns, block.columns)] += block.matrix.T @ block.matrix
+    return _Foreseen(part.whitened(raw), blocks, fitting.inverse(whole))
 
 
 def _places(old: fitting.Layout, new: fitting.Layout) -> Indices:

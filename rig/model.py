@@ -49,7 +49,7 @@ EXPERIMENTS: Mapping[str, str] = {
 }  # fmt: skip
 """What a part is of, and where an effect can show, by its word: the rig's own two benches, and others."""
 EVERYWHERE = tuple(EXPERIMENTS)
-REMEMBERED = 6  # signals
+REMEMBERED = 4  # signals: with all channels of a long record they are large
 if TYPE_CHECKING:
     Experiment = str
 else:

@@ -284,17 +284,33 @@ class Effect:
 
 @dataclass(frozen=True)
 class Term:
-    """An effect at work: on which channels, and its coordinates. `prior` (standard deviations) makes it a nuisance."""
+    """An effect at work: on which channels, and its coordinates. `prior` (standard deviations) makes it a nuisance.
+
+    `only`: names of the channels of its quantity that alone have it; () for all of them.
+    """
 
     effect: Effect
     on: Quantity | None
     at: Values
     prior: Values = field(default_factory=dict)
+    only: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         """Name within a model."""
+        if self.only:
+            return f"{self.effect.name} ({', '.join(self.only)})"
         return f"{self.effect.name} ({self.on})" if len(self.effect.quantities) > 1 else self.effect.name
+
+    @property
+    def where(self) -> str:
+        """The channels that have it in words, "" where the effect says it."""
+        return ", ".join(self.only) or self.on or ""
+
+    def among(self, channels: Channels) -> NDArray[np.intp]:
+        """Indices of the channels that have it."""
+        here = channels.of(self.on)
+        return here if not self.only else np.array([c for c in here if channels.names[c] in self.only], np.intp)
 
     @property
     def nought(self) -> bool:
@@ -346,13 +362,13 @@ def volts(
     zero = np.repeat(local.zero[:, None], motion.temperature.shape[-1], axis=1)
     own = replace(channels, sensitivity=local.sensitivity)
     for term in terms:
-        here = channels.of(term.on)
+        here = term.among(channels)
         signal[here], zero[here] = term.effect.output(signal[here], zero[here], motion, own.only(here), term.at)
     total = _with_zero(signal, zero)
     for term in terms:
-        more = term.effect.added(motion, own.only(channels.of(term.on)), term.at)
+        here = term.among(channels)
+        more = term.effect.added(motion, own.only(here), term.at)
         if more is not None:
-            here = channels.of(term.on)
             total[here] = total[here] + motion.grid.plain(more)
     return _sampled(total, motion.grid, channels, terms, before)
 
@@ -362,7 +378,7 @@ def _arriving(
 ) -> tuple[Motion, NDArray[np.inexact]]:
     """The motion of the case, and what arrives behind every channel's filters, SI."""
     shaping, filtering = (
-        tuple((t.effect, t.on, *t.at.values()) for t in terms if any(_has(t.effect, hook) for hook in hooks))
+        tuple((t.effect, t.on, t.only, *t.at.values()) for t in terms if any(_has(t.effect, hook) for hook in hooks))
         for hooks in (("motion", "felt", "transduce"), ("response",))
     )
 
@@ -384,7 +400,7 @@ def _transduced(motion: Motion, channels: Channels, terms: Sequence[Term]) -> Ar
     felt[channels.rates] = motion.rate[channels.axis[channels.rates]]
     for hook in ("felt", "transduce"):
         for term in terms:
-            here = channels.of(term.on)
+            here = term.among(channels)
             if hook == "felt" and _has(term.effect, "felt"):
                 felt[here] = term.effect.felt(felt[here], motion, channels.only(here), term.at)
             elif hook == "transduce" and _has(term.effect, "transduce"):
@@ -407,7 +423,7 @@ class _response:  # noqa: N801 - a function with something in its pocket
         pole = _tall(self._local.pole, frequency.ndim + 1)
         found = np.asarray(1.0 / (1.0 + 1j * frequency / pole), np.complex128)
         for term in self._terms:
-            found[self._channels.of(term.on)] *= term.effect.response(frequency, term.at)
+            found[term.among(self._channels)] *= term.effect.response(frequency, term.at)
         return found
 
 

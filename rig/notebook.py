@@ -108,18 +108,23 @@ class Model:
         model = self._done.model
         return conclude(self._bench.evidence, self.terms, self._bench.shelf, poles=model.poles, shared=model.shared)
 
-    def add(self, name: str, on: Quantity | None = None, *, formula: str | None = None) -> Model:
-        """Add an effect of the shelf, or a term by formula (`k * omega**2`), and refit. Raises BadInput."""
+    def add(
+        self, name: str, on: Quantity | None = None, *, formula: str | None = None, channels: Sequence[str] = ()
+    ) -> Model:
+        """Add an effect of the shelf, or a term by formula (`k * omega**2`), and refit. Raises BadInput.
+
+        `channels` of its quantity that alone have it, by name.
+        """
         from rig.repair import repair
 
-        self._done = repair.added(self._bench, self._done.model, name, on, formula)
+        self._done = repair.added(self._bench, self._done.model, name, on, formula, channels)
         return self
 
-    def remove(self, name: str, on: Quantity | None = None) -> Model:
+    def remove(self, name: str, on: Quantity | None = None, *, channels: Sequence[str] = ()) -> Model:
         """Take an effect out and refit. Raises BadInput if it is not in the model."""
         from rig.repair import repair
 
-        self._done = repair.removed(self._bench, self._done.model, name, on)
+        self._done = repair.removed(self._bench, self._done.model, name, on, channels)
         return self
 
     @property

@@ -166,11 +166,11 @@ class Experiment:
         part = self.fit.parts[number]
         axis = int(part.channels.axis[part.channels.names.index(channel)])
         terms = self.fit.state.terms
-        size = _length(terms, axis)
+        size = _length(terms, channel, axis)
         for n, (first, term) in enumerate(zip(self.fit.layout.terms, terms, strict=True)):
             for k, name in enumerate(fitted(term) if _mixes(term) else ()):
                 moved = [term.moved(**{name: term.at[name] + sign * NEARBY}) for sign in (1.0, -1.0)]
-                longer, shorter = (_length([*terms[:n], one, *terms[n + 1 :]], axis) for one in moved)
+                longer, shorter = (_length([*terms[:n], one, *terms[n + 1 :]], channel, axis) for one in moved)
                 direction[first + k] = value * (longer - shorter) / (2.0 * NEARBY)
         direction[self._own(number, channel)[0]] *= size
         return self._known(self._along(value * size, direction))
@@ -259,11 +259,11 @@ def _mixes(term: Term) -> bool:
     return term.on == "acceleration" and isinstance(term.effect.inverse(term.at), Shares)
 
 
-def _length(terms: Sequence[Term], axis: int) -> float:
+def _length(terms: Sequence[Term], channel: str, axis: int) -> float:
     """How much more a channel shows of what acts along its own axis than of its part along the case's."""
     row = np.eye(3)
     for term in terms:
         shares = term.effect.inverse(term.at)
-        if term.on == "acceleration" and isinstance(shares, Shares):
+        if term.on == "acceleration" and isinstance(shares, Shares) and (not term.only or channel in term.only):
             row = (np.eye(3) + shares.own) @ row
     return float(np.linalg.norm(row[axis]))

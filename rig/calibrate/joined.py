@@ -161,7 +161,7 @@ def of_model(fits: Mapping[str, Experiment], assumed: Assumed) -> Iterator[Resul
                 if one.u is not None and one.u > 0.0 and np.isfinite(one.value):
                     line = Contribution("fit of the model", "A", "normal", one.u, one.unit, 1.0)
                     yield Result(
-                        term.on or term.effect.stage, f"{term.effect.name}_{name}", f"{term.effect.title}: {name}",
+                        term.where or term.effect.stage, f"{term.effect.name}_{name}", f"{term.effect.title}: {name}",
                         one.value, one.unit, Budget((line,)), f"model fitted to all records of the {experiment.name}",
                         "the references of those records",
                         status="flagged" if (said := doubts(experiment)) else "determined", remarks=said,

@@ -11,7 +11,7 @@ import click
 from rig.cli.onward import BOTH, carry, carrying, command, completed, say_next
 from rig.cli.options import MODEL, bench_option, bench_path, effects_option, json_option, print_json, runs_option
 from rig.cli.progress import Doing
-from rig.cli.repair import RUN_NAMES, START, Opened, adding, model_options, opened
+from rig.cli.repair import RUN_NAMES, START, Opened, adding, model_options, on_what, opened
 
 if TYPE_CHECKING:
     from rig.bench.steps import BenchFacts
@@ -125,7 +125,7 @@ def _next_after(
         return BOTH.join([command("run", path), command("diagnose", *after)])
     if diagnosis.verdict == "missing":
         taken = diagnosis.steps[0].taken
-        return adding(taken.name, names, taken.term.on if len(taken.term.effect.quantities) > 1 else None)
+        return adding(taken.name, names, on_what(taken.term))
     if diagnosis.verdict == "adequate" and lacking:
         return lacking[0][1]
     return command("fit" if diagnosis.verdict == "adequate" else "compare", *names)
@@ -376,7 +376,7 @@ class _Loop:
         self._say(f"add: {taken.name}")
         if not self._yes and not click.confirm("  add it to the model?", default=True):
             return False
-        made = added(work.bench, work.model, taken.name, taken.term.on)
+        made = added(work.bench, work.model, taken.name, taken.term.on, channels=taken.term.only)
         save(work.path, made.model)
         self.added.append(taken.name)
         return True
@@ -456,7 +456,7 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
     if taken is not None:
         name, on = taken
         _pause(yes, adding(name, names, on))
-        ctx.invoke(repair.add, effect=name, on=(on,) if on else (), formula=None, **{**asking, "start": ()})
+        ctx.invoke(repair.add, effect=name, on=on, formula=None, **{**asking, "start": ()})
         _pause(yes, command("history", *names))
         ctx.invoke(repair.history, **common)
     else:
@@ -465,10 +465,10 @@ def _guide(ctx: click.Context, names: list[str], runs: Path, yes: bool) -> None:
     say_next(command("bench", "reveal"))
 
 
-def _taken(names: Sequence[str], runs: Path, path: Path) -> tuple[str, Any] | None:
+def _taken(names: Sequence[str], runs: Path, path: Path) -> tuple[str, tuple[str, ...]] | None:
     """The effect that the diagnosis takes first, and the channels it acts on."""
     steps = _diagnosed(opened(names, runs, path, None, None)).steps
-    return (steps[0].taken.name, steps[0].taken.term.on) if steps else None
+    return (steps[0].taken.name, on_what(steps[0].taken.term)) if steps else None
 
 
 def _pause(yes: bool, command: str) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rig.diagnose.misfit import Comparison, Group
     from rig.diagnose.prediction import Prediction
     from rig.fit.quality import Place
+    from rig.model import Term
     from rig.repair.model_file import Model, Step
     from rig.repair.repair import Bench, Repaired
 
@@ -42,7 +43,13 @@ START = click.option(
     help="Where a new model starts: the data sheet's, the paper's without output filter, or one with a single "
     "sensitivity for all axes.",
 )
-ON = click.option("--on", type=click.Choice(("acceleration", "rate")), help="Channels it acts on, if it can on both.")
+ON = click.option(
+    "--on",
+    multiple=True,
+    metavar="CHANNELS",
+    help="acceleration or rate, if it can act on both; or the channels or the unit that alone have it, by name "
+    "(repeat for several).",
+)
 
 
 class Starts(Carried):
@@ -303,11 +310,12 @@ def diagnose(
     of the model as it is and `error_after`, `heldout_error_after`, `worst_after` and `references` with all steps taken,
     which are those of `rig compare`, as `groups` are; `untold` (groups with all steps taken whose noise is known only
     from what the model leaves over: on these no `adequate` stands), `findings` (as `rig import` gives them: samples
-    that were left out, and what else looks wrong), `candidates` best first (`effect`, `on`, `class` with itself
-    included, `probability`, `error_after`, `heldout_error_after`, `worst_after`, `parameters` by name with `value`,
-    `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation` and what is known of them
-    `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in which it was or could be
-    `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted, `why`), `description` and
+    that were left out, and what else looks wrong), `candidates` best first (`effect`, `on`, `channels` of that which
+    alone have it, `class` with itself included, `probability`, `error_after`, `heldout_error_after`, `worst_after`,
+    `parameters` by name with `value`, `unit`, `u`; `not_known_apart`, null or two `parameters` with their `correlation`
+    and what is known of them `together`; `depends_on_band`, `plausible`, `because`, `separate_by`, and the `step` in
+    which it was or could be `taken`), `excluded` (`step`, `effect`, `error_after`, null where it was not refitted,
+    `why`), `description` and
     `cannot_see`. Errors of a candidate are √(χ²/n): noise is 1.
     """
     from rig.diagnose.conclusion import conclude
@@ -406,7 +414,7 @@ def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
 
 def candidate_text(one: Candidate, nearest: bool) -> list[str]:
     """One missing effect with all that speaks for it."""
-    on = f" of the {one.on} channels" if one.on else ""
+    on = f" of {', '.join(one.channels)} only" if one.channels else f" of the {one.on} channels" if one.on else ""
     head = f"{'nearest' if nearest else one.step}: {one.effect} ({one.title}{on}), probability {one.probability:.3g}"
     lines = [f"  {head}"]
     lines += [f"     {said}" for said in _sizes(one)]
@@ -444,12 +452,17 @@ def _first(said: Conclusion, work: Opened) -> str:
     first = said.taken[0]
     effect = work.bench.shelf.get(first.effect)
     on = first.on if effect is not None and len(effect.quantities) > 1 else None
-    return adding(first.effect, work.names, on)
+    return adding(first.effect, work.names, first.channels or (on,))
 
 
-def adding(effect: str, names: Sequence[str], on: str | None) -> str:
-    """The command that adds an effect; `on` where it has to be said."""
-    return command("add", effect, *names, *(("--on", on) if on else ()))
+def adding(effect: str, names: Sequence[str], on: Sequence[str | None]) -> str:
+    """The command that adds an effect; `on` what, where it has to be said."""
+    return command("add", effect, *names, *(word for one in on if one for word in ("--on", one)))
+
+
+def on_what(term: Term) -> tuple[str, ...]:
+    """What `--on` has to say of a term."""
+    return term.only or ((term.on,) if term.on is not None and len(term.effect.quantities) > 1 else ())
 
 
 def _next_after(said: Conclusion, work: Opened) -> list[str]:
@@ -467,12 +480,7 @@ def _next_after(said: Conclusion, work: Opened) -> list[str]:
 @click.command()
 @EFFECT
 @RUN_NAMES
-@click.option(
-    "--on",
-    multiple=True,
-    metavar="CHANNELS",
-    help="acceleration or rate, if it can act on both; for a formula also a channel's name (repeat for several).",
-)
+@ON
 @click.option("--formula", metavar="TEXT", help="A term of your own, e.g. 'k * omega**2'; EFFECT is its name then.")
 @click.option(
     "--start",
@@ -489,10 +497,12 @@ def add(
 ) -> None:  # fmt: skip
     """Add EFFECT to the model, refit to every RUN, and write the model with one more step of history.
 
-    Prints the errors before and after, on fitted and on held-out data. A term of your own needs a name that no effect
-    of the shelf has, and starts for coefficients to which it is not proportional:
+    Prints the errors before and after, on fitted and on held-out data. An effect may be in some channels only. A term
+    of your own needs a name that no effect of the shelf has, and starts for coefficients to which it is not
+    proportional:
 
     \b
+    rig add delay last --on unit_a_x
     rig add creep last --formula 'k*exp(-t/tau)' --start 'tau=10 s' --on rate
 
     \f
@@ -507,12 +517,8 @@ def add(
         raise BadInput(f"--start: found '{starts[0]}' without a formula, wanted --formula with it")
     work = opened(names, runs, model, words[-1] if words else None, effects)
     quantity, channels = channels_named(work.bench, on)
-    if channels and formula is None:
-        raise BadInput(
-            f"--on: found {channels[0]} for {effect}, wanted acceleration or rate: one channel is a formula's"
-        )
     own = None if formula is None else own_term(formula, starts, channels)
-    _conclude(work, added(work.bench, work.model, effect, quantity, own), as_json)
+    _conclude(work, added(work.bench, work.model, effect, quantity, own, channels), as_json)
 
 
 def start_words(given: Sequence[str]) -> list[str]:
@@ -532,14 +538,14 @@ def start_words(given: Sequence[str]) -> list[str]:
 @ON
 @model_options()
 def remove(
-    effect: str, names: tuple[str, ...], on: Any, model: Path | None, start: str | None, effects: Path | None,
-    runs: Path, as_json: bool,
+    effect: str, names: tuple[str, ...], on: tuple[str, ...], model: Path | None, start: str | None,
+    effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Take EFFECT out of the model, refit to every RUN, and write the model with one more step of history."""
-    from rig.repair.repair import removed
+    from rig.repair.repair import channels_named, removed
 
     work = opened(names, runs, model, start, effects)
-    _conclude(work, removed(work.bench, work.model, effect, on), as_json)
+    _conclude(work, removed(work.bench, work.model, effect, *channels_named(work.bench, on)), as_json)
 
 
 def _conclude(work: Opened, made: Repaired, as_json: bool) -> None:
@@ -579,7 +585,7 @@ def repaired_text(made: Repaired) -> list[str]:
     lines = [f"{done}: {made.model.unit}, {made.model.start} model{mark}"]
     for entry in made.model.effects:
         values = ", ".join(f"{n} = {Estimate(v.value, v.unit, v.u).text}" for n, v in entry.parameters.items())
-        lines.append(f"  {entry.effect}{f' ({entry.on})' if entry.on else ''}{f': {values}' if values else ''}")
+        lines.append(f"  {entry.effect}{f' ({entry.where})' if entry.where else ''}{f': {values}' if values else ''}")
     lines += [f"  note: {remark}" for remark in made.remarks]
     return [*lines, *_errors_text(made)]
 
@@ -658,7 +664,7 @@ def history_text(steps: Sequence[Step]) -> list[str]:
     """The ladder as a table; the noise floor is 1. `worst` is the error of the channel and domain furthest above it,
     then that of the rows held out there.
     """
-    names = [" ".join(p for p in (s.action, s.effect, f"({s.on})" if s.on else None) if p) for s in steps]
+    names = [" ".join(p for p in (s.action, s.effect, f"({s.where})" if s.where else None) if p) for s in steps]
     width = max((len(name) for name in names), default=0)
     heads = ("error", "held out", "worst", "held out", "noise", "χ²/dof")
     lines = [f"  {'':>2}  {'':<{width}}  {'  '.join(f'{head:>8}' for head in heads)}  runs  where it is worst"]

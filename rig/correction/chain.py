@@ -39,15 +39,18 @@ class Channel:
 
 @dataclass(frozen=True)
 class Undone:
-    """An effect of the model: its name, the channels it acts on (None: all), and its inverse."""
+    """An effect of the model: its name, the quantity it acts on (None: all), its inverse, and which channels of that
+    alone have it, by name; () for all.
+    """
 
     name: str
     on: Quantity | None
     inverse: Inverse
+    only: tuple[str, ...] = ()
 
     def of(self, channel: Channel) -> bool:
         """Whether it acts on a channel."""
-        return self.on in (None, channel.quantity)
+        return self.on in (None, channel.quantity) and (not self.only or channel.name in self.only)
 
 
 @dataclass(frozen=True)

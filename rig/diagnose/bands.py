@@ -18,8 +18,11 @@ FAR = 3.0  # standard deviations of the difference
 LEAST = 0.05  # of a variance: two fits of nearly the same rows agree no better
 
 
-def dependent(evidence: Evidence, final: Fit) -> frozenset[tuple[str, Quantity | None]]:
-    """Name and quantity of the effects of a final fit whose parameters change with the band.
+Known = tuple[str, Quantity | None, tuple[str, ...]]
+
+
+def dependent(evidence: Evidence, final: Fit) -> frozenset[Known]:
+    """Name, quantity and channels of the effects of a final fit whose parameters change with the band.
 
     Empty where no band can be doubled.
     """
@@ -32,10 +35,13 @@ def dependent(evidence: Evidence, final: Fit) -> frozenset[tuple[str, Quantity |
     return frozenset(key for key, found in here.items() if key in there and _differ(found, there[key]))
 
 
-def _known(fit: Fit) -> dict[tuple[str, Quantity | None], dict[str, Estimate]]:
+def _known(fit: Fit) -> dict[Known, dict[str, Estimate]]:
     """Parameters of every effect that rows determine."""
     terms = enumerate(fit.state.terms)
-    return {(term.effect.name, term.on): estimates(term, covariance_of(fit, n)) for n, term in terms if _of_rows(term)}
+    return {
+        (term.effect.name, term.on, term.only): estimates(term, covariance_of(fit, n))
+        for n, term in terms if _of_rows(term)
+    }  # fmt: skip
 
 
 def _of_rows(term: Term) -> bool:

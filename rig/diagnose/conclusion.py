@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.diagnose.bands import dependent
+from rig.diagnose.bands import Known, dependent
 from rig.diagnose.describe import Description, describe
 from rig.diagnose.diagnose import CHANCE, CLASS, Choice, Diagnosis, Step, Told, diagnose, misread, unheard
 from rig.diagnose.misfit import Group, Pull, finite, place_as_json, pulls, untold
@@ -60,12 +60,14 @@ class Candidate:
     there: Place
     tied: Tied | None = None  # parameters that are not known apart
     depends_on_band: bool = False  # whether its size changes when twice the band of a sampled reference is compared
+    channels: tuple[str, ...] = ()  # of the quantity that alone have it
 
     def as_json(self) -> dict[str, Any]:
         """As `rig diagnose --json` gives it, SI; null for what has no finite value."""
         return {
             "effect": self.effect,
             "on": self.on,
+            "channels": list(self.channels),
             "class": list(self.members),
             "probability": self.probability,
             "error_after": self.error_after,
@@ -246,9 +248,9 @@ def _left(diagnosis: Diagnosis, number: int, choice: Choice, fit: Fit) -> Exclud
     return Excluded(number, choice.term.key, errors.error, where)
 
 
-def _by_band(found: Sequence[Candidate], dependent: Set[tuple[str, Quantity | None]]) -> list[Candidate]:
+def _by_band(found: Sequence[Candidate], dependent: Set[Known]) -> list[Candidate]:
     """What was taken in a step and changes with the band is marked, and none of that step is likelier than evens."""
-    marked = {one.step for one in found if one.taken and (one.effect, one.on) in dependent}
+    marked = {one.step for one in found if one.taken and (one.effect, one.on, one.channels) in dependent}
     return [
         replace(one, probability=min(one.probability, EVENS), depends_on_band=one.taken)
         if one.step in marked else one
@@ -287,6 +289,7 @@ def _candidate(
         step=number,
         taken=is_taken,
         tied=None if choice.term.effect.looks_in else tied(term, covariance),
+        channels=term.only,
     )
 
 

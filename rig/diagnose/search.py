@@ -70,13 +70,15 @@ class Candidate:
         return self.term.effect.name
 
 
-def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> list[Term]:
-    """Effects that are not in the model and could act in one of its parts, once for each quantity there."""
+def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "", only: tuple[str, ...] = ()) -> list[Term]:
+    """Effects that are not in the model and could act in one of its parts, once for each quantity there; on `only` some
+    of its channels, where they are named.
+    """
     held: dict[str, set[str]] = {}
     for part in found.parts:
         held.setdefault(part.experiment, set()).update(part.logged)
     rates = {bool(r) for part in found.parts for r in part.channels.rates}
-    there = {(t.effect.name, t.on) for t in found.state.terms if not t.prior}
+    there = {(t.effect.name, t.on, t.only) for t in found.state.terms if not t.prior}
     result = []
     for effect in shelf.values():
         if effect.instrument and not any(effect.instrument in part.instruments for part in found.parts):
@@ -88,9 +90,9 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "") -> lis
             continue  # what nobody logged cannot be found to be the cause
         quantities: Iterable[Quantity | None] = effect.quantities or (None,)
         for on in quantities:
-            if (on is None or (on == "rate") in rates) and (effect.name, on) not in there:
+            if (on is None or (on == "rate") in rates) and (effect.name, on, only) not in there:
                 zero = dict.fromkeys((c.name for c in effect.coordinates), 0.0)
-                result.append(Term(effect, on, zero))
+                result.append(Term(effect, on, zero, only=only))
     return result
 
 
@@ -130,7 +132,7 @@ class _Sight:
 
         Those of an earlier step will do: a model that has one effect more has hardly other derivatives.
         """
-        key = (term.effect, term.on, *term.at.values())
+        key = (term.effect, term.on, term.only, *term.at.values())
         if key in self.memory:
             kept, before = self.memory[key]
             return kept.astype(np.float64), before.astype(np.float64)
@@ -161,7 +163,7 @@ def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> l
 
 def _scored(sight: _Sight, term: Term) -> Score:
     """The best of its starts; of many in a row every second is tried, and those beside the best of these."""
-    parts = [n for n, p in enumerate(sight.found.parts) if p.here([term]) and len(p.channels.of(term.on))]
+    parts = [n for n, p in enumerate(sight.found.parts) if p.here([term]) and len(term.among(p.channels))]
     starts = _starts(sight, term, parts)
     row = len(starts) > MANY and not any(one.searched for one in term.effect.coordinates)
     made = {place: _from(sight, term.moved(**starts[place])) for place in range(row, len(starts), 1 + row)}

@@ -416,7 +416,7 @@ def term_columns(
     `base` is the prediction at the term's own coordinates, if it is known. Only the channels concerned are worked out.
     """
     names = fitted(term)
-    if not part.here([term]) or not len(part.channels.of(term.on)):
+    if not part.here([term]) or not len(term.among(part.channels)):
         return np.zeros((part.rows, len(names)))
     if base is None:
         base = part.raw(local, [*others, term])

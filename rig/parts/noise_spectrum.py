@@ -119,7 +119,10 @@ class NoiseSpectrum(Part):
     def _density(self, local: Local, terms: Sequence[Term]) -> Array:
         """Density in every band, V²/Hz, then what is open, (c, width)."""
         terms = self.here(terms)
-        key = tuple((one.effect, one.on, *one.at.values()) for one in terms), local.sensitivity.tobytes() * bool(terms)
+        key = (
+            tuple((one.effect, one.on, one.only, *one.at.values()) for one in terms),
+            local.sensitivity.tobytes() * bool(terms),
+        )
         if key not in self._made:
             if len(self._made) > REMEMBERED:
                 self._made.clear()
@@ -163,7 +166,7 @@ class NoiseSpectrum(Part):
         """What terms add to the mean density of every band, V²/Hz, (c, b)."""
         found = np.zeros((len(self.channels.names), len(bands.dof)))
         for term in terms:
-            here = self.channels.of(term.on)
+            here = term.among(self.channels)
             some = _scaled(self.channels, local, here)
             found[here] += term.effect.density(bands.nodes, self.data.rate, some, term.at).mean(axis=-1)
             if (line := term.effect.tone(self.data.rate, some, term.at)) is not None:

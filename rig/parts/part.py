@@ -142,7 +142,7 @@ class Part(ABC):
 
     def apart(self, term: Term) -> Indices | None:
         """Channels that alone feel a term; None if all do."""
-        return self.channels.of(term.on) if term.on is not None and term.effect.stage != "reference" else None
+        return term.among(self.channels) if term.on is not None and term.effect.stage != "reference" else None
 
     # rows
 

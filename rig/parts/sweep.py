@@ -117,7 +117,7 @@ class Sweep(Part):
             for place, order in enumerate(MAINS_ORDERS, ORDERS):
                 more = term.effect.at_mains(order, self.reference.elapsed, term.at)
                 if more is not None:
-                    found[channels.of(term.on), :, place] += more
+                    found[term.among(channels), :, place] += more
         return found
 
     @cached_property

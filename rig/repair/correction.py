@@ -30,7 +30,9 @@ def correction_of(model: Model, shelf: Mapping[str, Effect]) -> Correction:
     return Correction(
         unit=model.unit,
         channels=tuple(_channel(name, entry) for name, entry in model.channels.items()),
-        undone=tuple(Undone(term.key, term.on, term.effect.inverse(term.at)) for term in terms_of(model, shelf)),
+        undone=tuple(
+            Undone(term.key, term.on, term.effect.inverse(term.at), term.only) for term in terms_of(model, shelf)
+        ),
         simulated=model.simulated,
         provenance=tuple(_provenance(model)),
     )
@@ -80,4 +82,4 @@ def _provenance(model: Model) -> Iterator[str]:
 def _words(model: Model) -> Iterator[str]:
     for entry in model.effects:
         values = ", ".join(f"{name} = {one.value:.6g} {one.unit}".rstrip() for name, one in entry.parameters.items())
-        yield f"{entry.effect}{f' on {entry.on}' if entry.on else ''}{f' ({values})' if values else ''}"
+        yield f"{entry.effect}{f' on {entry.where}' if entry.where else ''}{f' ({values})' if values else ''}"

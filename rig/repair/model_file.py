@@ -10,6 +10,10 @@
       on: acceleration              # left out where the effect can act on one kind of channel only
       coordinates: {coefficient: {value: 1.2e-05, u: 3.0e-07}}
       parameters: {coefficient: {value: 1.2e-05, unit: 1/(m/s²)², u: 3.0e-07}}
+    - effect: delay
+      on: acceleration
+      channels: [unit_a_x]          # left out where all of the kind have it
+      coordinates: {time: {value: 1.0e-03, u: 1.0e-05}}
     - effect: drag                  # a term of one's own; its name is free
       formula: k * omega**2
       on: rate
@@ -81,7 +85,7 @@ class Value(Strict):
 class Entry(Strict):
     """One effect of the shelf, or a term by formula.
 
-    Of a formula: `values` are starts of its coefficients, SI, and `channels` those that alone feel it.
+    `channels` of the kind that alone have it. Of a formula: `values` are starts of its coefficients, SI.
     """
 
     effect: str
@@ -93,6 +97,15 @@ class Entry(Strict):
     values: dict[str, float] = Field(default_factory=dict)
     coordinates: dict[str, Coordinate] = Field(default_factory=dict)
     parameters: dict[str, Value] = Field(default_factory=dict)
+
+    @property
+    def where(self) -> str:
+        """The channels that have it in words; "" where the effect says it."""
+        return ", ".join(self.channels) or self.on or ""
+
+    def is_of(self, name: str, on: Quantity | None, channels: Sequence[str] = ()) -> bool:
+        """Whether it is this effect, on these channels if they are named."""
+        return self.effect == name and on in (None, self.on) and (not channels or set(channels) == set(self.channels))
 
 
 class Covariance(Strict):
@@ -130,6 +143,7 @@ class Step(Strict):
     action: Action
     effect: str | None = None
     on: Quantity | None = None
+    channels: tuple[str, ...] | None = None
     runs: tuple[str, ...]
     chi2_dof: float
     error: float
@@ -141,6 +155,11 @@ class Step(Strict):
     worst_error: float | None = None
     worst_unit: str = ""
     when: float
+
+    @property
+    def where(self) -> str:
+        """On which channels, where that was said."""
+        return ", ".join(self.channels or ()) or self.on or ""
 
 
 class Model(Strict):
@@ -242,7 +261,7 @@ def _term(entry: Entry, shelf: Mapping[str, Effect]) -> Term:
         at |= effect.from_physical({name: one.value for name, one in entry.parameters.items()})
     else:
         at |= entry.values
-    return Term(effect, on, at)
+    return Term(effect, on, at, only=entry.channels if entry.formula is None else ())
 
 
 def effect_of(
@@ -321,6 +340,8 @@ def _mistakes_of(document: Document, at: KeyPath, entry: Entry, shelf: Mapping[s
 def _wrong_on(entry: Entry, effect: Effect) -> str:
     if entry.on is None and len(effect.quantities) > 1:
         return f"found nothing, wanted {' or '.join(BOTH)}"
+    if entry.channels and not effect.quantities:
+        return f"found channels {', '.join(entry.channels)}, wanted no such key: it acts on everything alike"
     if entry.on is not None and entry.on not in effect.quantities:
         wanted = " or ".join(effect.quantities) or "no such key: it acts on everything alike"
         return f"found '{entry.on}', wanted {wanted}"
@@ -343,7 +364,8 @@ def _contradictions(document: Document, at: KeyPath, entry: Entry, effect: Effec
 # from a fit
 def with_fit(
     model: Model, evidence: Evidence, fit: Fit, *, action: Action, when: float, effect: str | None = None,
-    on: Quantity | None = None, known: Mapping[str, Mapping[str, float]] | None = None, errors: Errors | None = None,
+    on: Quantity | None = None, channels: Sequence[str] = (),
+    known: Mapping[str, Mapping[str, float]] | None = None, errors: Errors | None = None,
 ) -> Model:  # fmt: skip
     """The model with the values of a fit, and one more step of history.
 
@@ -360,10 +382,10 @@ def with_fit(
     errors = errors or errors_of(evidence, fit)
     worst = errors.worst
     step = Step(
-        action=action, effect=effect, on=on, runs=evidence.runs, chi2_dof=_short(chi2_dof(fit)),
-        error=_short(errors.error), heldout=_finite(errors.heldout), worst=_finite(worst.ratio), worst_at=worst.where,
-        worst_heldout=_finite(worst.heldout), worst_error=_finite(worst.error), worst_unit=worst.unit,
-        when=round(when, 3),
+        action=action, effect=effect, on=on, channels=tuple(channels) or None, runs=evidence.runs,
+        chi2_dof=_short(chi2_dof(fit)), error=_short(errors.error), heldout=_finite(errors.heldout),
+        worst=_finite(worst.ratio), worst_at=worst.where, worst_heldout=_finite(worst.heldout),
+        worst_error=_finite(worst.error), worst_unit=worst.unit, when=round(when, 3),
     )  # fmt: skip
     return model.model_copy(
         update={
@@ -399,7 +421,7 @@ def _entry(fit: Fit, number: int, formulas: Mapping[str, Entry], known: Mapping[
         effect=term.effect.name,
         formula=before.formula if before else None,
         places=before.places if before else None,
-        channels=before.channels if before else (),
+        channels=before.channels if before else term.only,
         units=before.units if before else {},
         values=before.values if before else {},
         on=term.on if len(term.effect.quantities) > 1 or before else None,

@@ -97,12 +97,12 @@ def fitted(bench: Bench, model: Model) -> Repaired:
 
 def _after(
     bench: Bench, model: Model, found: Fit, action: Action, effect: str | None = None, on: Quantity | None = None,
-    known: Mapping[str, Mapping[str, float]] | None = None,
+    channels: Sequence[str] = (), known: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Repaired:  # fmt: skip
     """A model after a step that this fit made, by itself: its line of history is before and after."""
     errors = errors_of(bench.evidence, found)
-    made = with_fit(model, bench.evidence, found, action=action, effect=effect, on=on, when=bench.when,
-                    known=_known(bench, model) if known is None else known, errors=errors)  # fmt: skip
+    made = with_fit(model, bench.evidence, found, action=action, effect=effect, on=on, channels=channels,
+                    when=bench.when, known=_known(bench, model) if known is None else known, errors=errors)  # fmt: skip
     return Repaired(made, found, made.history[-1], made.history[-1], tuple(_not_apart(found)), errors)
 
 
@@ -115,27 +115,32 @@ def _not_apart(found: Fit) -> Iterator[str]:
 
 
 def added(
-    bench: Bench, model: Model, name: str, on: Quantity | None = None, formula: str | OwnTerm | None = None
+    bench: Bench, model: Model, name: str, on: Quantity | None = None, formula: str | OwnTerm | None = None,
+    channels: Sequence[str] = (),
 ) -> Repaired:  # fmt: skip
     """The model with one more effect, from the best of its starts, everything refitted.
 
-    `on` chooses the channels of an effect that can act on either kind; by default those where it removes most. With
-    `formula` the effect is a term of one's own of this name. Raises BadInput for an effect that cannot be added.
+    `on` chooses the channels of an effect that can act on either kind; by default those where it removes most;
+    `channels` those of them that alone have it. With `formula` the effect is a term of one's own of this name. Raises
+    BadInput for an effect that cannot be added.
     """
     own = OwnTerm(formula) if isinstance(formula, str) else formula
-    entry = _entry_of(name, on, own)
+    entry = _entry_of(name, on, own, channels)
     if own is None and name in OF_CHANNELS:
         return _with_part(bench, _on_these_runs(bench, model), name)
     effect = _addable(bench, model, entry, own)
     base = _on_these_runs(bench, model)
-    term, known, remarks, after = (_by_test if effect.looks_in else _by_score)(bench, base, effect, on)
+    if effect.looks_in:
+        term, known, remarks, after = _by_test(bench, base, effect, on)
+    else:
+        term, known, remarks, after = _by_score(base, effect, on, () if own else tuple(channels))
     if own is not None:
         written = entry.model_copy(update={"on": term.on})
         model_with = base.model.model_copy(update={"effects": (*base.model.effects, written)})
     else:
         model_with = base.model
     everything = {**_known(bench, base.model), **({name: known} if known else {})}
-    made = _after(bench, model_with, after, "add", name, term.on, everything)
+    made = _after(bench, model_with, after, "add", name, term.on, entry.channels, everything)
     return replace(made, before=base.after, remarks=(*remarks, *made.remarks))
 
 
@@ -148,16 +153,21 @@ def _with_part(bench: Bench, base: Repaired, name: str) -> Repaired:
     return replace(_after(bench, more, fit_of(bench, more), "add", name), before=base.after)
 
 
-def removed(bench: Bench, model: Model, name: str, on: Quantity | None = None) -> Repaired:
-    """The model without an effect, everything refitted. Raises BadInput if it is not in the model."""
-    left = [entry for entry in model.effects if entry.effect != name or on not in (None, entry.on)]
+def removed(
+    bench: Bench, model: Model, name: str, on: Quantity | None = None, channels: Sequence[str] = ()
+) -> Repaired:
+    """The model without an effect, everything refitted; of several of this name all, or that `on` some channels.
+
+    Raises BadInput if it is not in the model.
+    """
+    left = [entry for entry in model.effects if not entry.is_of(name, on, channels)]
     if len(left) == len(model.effects):
         there = ", ".join(entry.effect for entry in model.effects) or "none"
         raise BadInput(f"remove: found no {name} in the model, wanted one of its effects: {there}")
     base = _on_these_runs(bench, model)
-    kept = [entry for entry in base.model.effects if entry.effect != name or on not in (None, entry.on)]
+    kept = [entry for entry in base.model.effects if not entry.is_of(name, on, channels)]
     smaller = base.model.model_copy(update={"effects": tuple(kept)})
-    return replace(_after(bench, smaller, fit_of(bench, smaller), "remove", name, on), before=base.after)
+    return replace(_after(bench, smaller, fit_of(bench, smaller), "remove", name, on, channels), before=base.after)
 
 
 def _on_these_runs(bench: Bench, model: Model) -> Repaired:
@@ -171,25 +181,30 @@ def _on_these_runs(bench: Bench, model: Model) -> Repaired:
     return fitted(bench, model)
 
 
-def _entry_of(name: str, on: Quantity | None, own: OwnTerm | None) -> Entry:
+def _entry_of(name: str, on: Quantity | None, own: OwnTerm | None, channels: Sequence[str]) -> Entry:
     if own is None:
-        return Entry(effect=name, on=on)
+        return Entry(effect=name, on=on, channels=tuple(channels))
     values = {coefficient: starts[0] for coefficient, starts in own.starts.items()}
     return Entry(effect=name, formula=own.text, on=on, channels=own.channels, units=dict(own.units), values=values)
 
 
 def channels_named(bench: Bench, words: Sequence[str]) -> tuple[Quantity | None, tuple[str, ...]]:
-    """What `acceleration`, `rate`, or names of channels mean: their quantity, and the channels if they are named.
+    """What `acceleration`, `rate`, or names of channels or units mean: their quantity, and which channels of it if they
+    are not all.
 
-    Raises BadInput for a name that no channel has, and for channels of both quantities.
+    Raises BadInput for a name that no channel and no unit has, and for channels of both quantities.
     """
     if not words:
         return None, ()
     if len(words) == 1 and words[0] in BOTH:
         return BOTH[BOTH.index(words[0])], ()
     of: dict[str, Quantity] = {}
+    units: dict[str, list[str]] = {}
     for part in bench.evidence.parts:
         of |= {name: BOTH[bool(rates)] for name, rates in zip(part.channels.names, part.channels.rates, strict=True)}
+        for unit, name in zip(part.channels.unit, part.channels.names, strict=True):
+            units.setdefault(unit, []).append(name)
+    words = [name for word in words for name in ([word] if word in of else units.get(word, [word]))]
     stray = next((word for word in words if word not in of), None)
     if stray is not None:
         near = difflib.get_close_matches(stray, of, 3) or list(of)
@@ -197,7 +212,9 @@ def channels_named(bench: Bench, words: Sequence[str]) -> tuple[Quantity | None,
     quantities = {of[word] for word in words}
     if len(quantities) > 1:
         raise BadInput(f"--on: found {' and '.join(words)}, wanted channels of one kind")
-    return quantities.pop(), tuple(dict.fromkeys(words))
+    (quantity,) = quantities
+    everything = {name for name, one in of.items() if one == quantity}
+    return quantity, () if set(words) == everything else tuple(dict.fromkeys(words))
 
 
 def _addable(bench: Bench, model: Model, entry: Entry, own: OwnTerm | None) -> Effect:
@@ -212,7 +229,11 @@ def _addable(bench: Bench, model: Model, entry: Entry, own: OwnTerm | None) -> E
         raise BadInput(f"add: {error}") from error
     if effect.absorbed:
         raise BadInput(f"add: found {effect.name}, wanted an effect that a fit can see ({effect.absorbed})")
-    there = [one.on for one in model.effects if one.effect == entry.effect]
+    if entry.channels and entry.formula is None and (effect.looks_in or not effect.quantities):
+        wanted = "a quantity: its own test finds it" if effect.quantities else "no channels: it belongs to all alike"
+        raise BadInput(f"add: found {effect.name} on {', '.join(entry.channels)}, wanted {wanted}")
+    alike = [one for one in model.effects if one.effect == entry.effect]
+    there = [one.on for one in alike if entry.formula is not None or set(one.channels) == set(entry.channels)]
     if there and (len(effect.quantities) < 2 or entry.on in there or entry.formula is not None):
         raise BadInput(f"add: found {effect.name} in the model already, wanted another effect")
     return effect
@@ -233,9 +254,9 @@ def _by_test(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None) 
     return found[0].term, found[0].u, (found[0].because,), after
 
 
-def _by_score(bench: Bench, base: Repaired, effect: Effect, on: Quantity | None) -> _Added:
+def _by_score(base: Repaired, effect: Effect, on: Quantity | None, channels: tuple[str, ...]) -> _Added:
     """An effect that the observables show: the start that promises most, refitted."""
-    candidates = [t for t in search.possible({effect.name: effect}, base.fit) if on in (None, t.on)]
+    candidates = [t for t in search.possible({effect.name: effect}, base.fit, only=channels) if on in (None, t.on)]
     if not candidates:
         places, kinds = " or the ".join(effect.places), " or ".join(effect.quantities) or "any quantity"
         wanted = f"an effect that is not in the model and can act here (this one: {kinds}, on the {places})"

@@ -1,0 +1,104 @@
+"""An effect that some channels alone have: stated, fitted, kept in the model's file, printed, taken out and undone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imported_worlds import Unit, changed, evidence, motion
+
+from rig.cli.repair import history_text, repaired_text
+from rig.errors import BadInput, ConfigError
+from rig.model import Term
+from rig.repair import repair
+from rig.repair.correction import correction_of
+from rig.repair.model_file import load, save, terms_of
+from rig.repair.repair import Bench, Repaired, channels_named
+from rig.shelf import effect_of, nothing_of, shelf
+
+BENT = 0.03  # (rad/s)⁻²
+GYROS = ("gyro_x", "gyro_y", "gyro_z")
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    """Free motion of a unit of which one gyro bends."""
+    made = motion(Unit(), 6, seconds=20.0, rows=100.0)
+    return Bench(evidence(changed(made, "gyro_y", lambda v: v + BENT * v**3)), shelf(), 0.0)
+
+
+@pytest.fixture(scope="module")
+def repaired(bench: Bench) -> Repaired:
+    return repair.added(bench, repair.new(bench, "datasheet"), "cubic", "rate", channels=("gyro_y",))
+
+
+def test_an_effect_of_one_channel_has_its_true_size_and_leaves_less_than_on_all(
+    bench: Bench, repaired: Repaired
+) -> None:
+    (entry,) = repaired.model.effects
+    found = entry.parameters["coefficient"]
+    assert found.u is not None
+    assert abs(found.value - BENT) < 4.0 * found.u
+    everywhere = repair.added(bench, repair.new(bench, "datasheet"), "cubic", "rate")
+    assert repaired.fit.objective < everywhere.fit.objective - 100.0
+
+
+def test_the_other_channels_are_as_they_were(bench: Bench) -> None:
+    (part,) = bench.evidence.parts
+    state = bench.evidence.fitted().state
+    term = Term(effect_of("cubic"), "rate", {"coefficient": 0.1}, only=("gyro_y",))
+    moved = part.raw(state.local(part, 0), [term]) - part.raw(state.local(part, 0), [])
+    changed = [name for name, row in zip(part.channels.names, moved, strict=True) if np.any(row != 0.0)]
+    assert changed == ["gyro_y"]
+
+
+def test_its_file_says_which_channels_and_gives_the_same_terms(repaired: Repaired, tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    save(path, repaired.model)
+    again = load(path, shelf())
+    assert again == repaired.model
+    (term,) = terms_of(again, shelf())
+    assert (term.only, term.key) == (("gyro_y",), "cubic (gyro_y)")
+    assert "  channels: [gyro_y]\n" in path.read_text(encoding="utf-8")
+
+
+def test_what_is_printed_says_which_channels(repaired: Repaired) -> None:
+    assert any(line.startswith("  cubic (gyro_y): coefficient = ") for line in repaired_text(repaired))
+    assert "add cubic (gyro_y)" in history_text(repaired.model.history)[-1]
+
+
+def test_beside_it_stands_another_one_and_each_can_be_taken_out(bench: Bench, repaired: Repaired) -> None:
+    both = repair.added(bench, repaired.model, "cubic", "rate")
+    assert [one.where for one in both.model.effects] == ["gyro_y", "rate"]
+    left = repair.removed(bench, both.model, "cubic", "rate", ("gyro_y",))
+    assert [one.where for one in left.model.effects] == ["rate"]
+    with pytest.raises(BadInput, match="in the model already"):
+        repair.added(bench, repaired.model, "cubic", "rate", channels=("gyro_y",))
+
+
+def test_a_correction_undoes_it_in_that_channel_alone(repaired: Repaired) -> None:
+    made = correction_of(repaired.model, shelf())
+    bent = [name for name in made.names if made.chain(name).bends]
+    assert bent == ["gyro_y"]
+    true = np.linspace(-1.5, 1.5, 7)
+    channel = made.chain("gyro_y").channel
+    shown = channel.zero + channel.sensitivity * (true + BENT * true**3)
+    assert made.only(["gyro_y"]).apply({"gyro_y": shown})["gyro_y"] == pytest.approx(true, abs=5e-3)
+
+
+def test_channels_are_named_by_their_names_and_all_of_a_kind_are_no_restriction(bench: Bench) -> None:
+    assert channels_named(bench, ["gyro_y"]) == ("rate", ("gyro_y",))
+    assert channels_named(bench, GYROS) == ("rate", ())
+    with pytest.raises(BadInput, match="wanted channels of one kind"):
+        channels_named(bench, ["gyro_y", "acc_x"])
+
+
+def test_what_belongs_to_everything_is_on_no_channel_by_itself(bench: Bench, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="wanted no channels: it belongs to all alike"):
+        repair.added(bench, repair.new(bench, "datasheet"), "reference_delay", channels=("gyro_y",))
+    path = tmp_path / "model.yaml"
+    path.write_text("format: 1\nunit: made\neffects: [{effect: reference_delay, channels: [gyro_y]}]\n")
+    with pytest.raises(ConfigError, match="it acts on everything alike"):
+        load(path, shelf())
+    assert nothing_of(effect_of("cubic"), "rate").only == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -116,7 +117,8 @@ def test_stamps_in_another_unit_leave_no_spectrum_and_that_is_said() -> None:
 
     slow = with_table(made, slower)
     slow = replace(slow, manifest=slow.manifest.model_copy(update={"compared": Compared()}))
-    with pytest.raises(BadInput, match=r"too few for a spectrum, wanted .* the unit of its time stamps put right"):
+    said = r"too few for a spectrum, wanted .* the unit of its time stamps put right"
+    with pytest.raises(BadInput, match=said), warnings.catch_warnings(action="error"):
         worlds.evidence(slow).fitted()
 
 

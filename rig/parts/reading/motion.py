@@ -516,6 +516,8 @@ def _stretches(
 
 def _state(rate: Array, whole: Array) -> str:
     """Rest, a steady rate (to a tenth of its logarithm), or what is neither, of some of the instants of `whole`."""
+    if not rate.size:
+        return "rest"
     size, mean = float(np.sqrt(np.mean(np.sum(rate**2, axis=0)))), float(np.linalg.norm(rate.mean(axis=1)))
     if size < SLOW * float(np.sqrt(np.max(np.sum(whole**2, axis=0), initial=0.0))):
         return "rest"

@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign.faults import faults
+from rig.foreign.faults import GAP, faults
+from rig.foreign.finding import runs
 from rig.foreign.manifest import SI_OF, Column
 from rig.foreign.tables import Foreign, Table
 from rig.motion import Array
@@ -18,6 +20,9 @@ from rig.signals.noise import Coefficient, NoiseFit
 from rig.signals.noise_at_rest import step_of
 from rig.signals.spectrum import Lines, Periodogram
 
+LEAST_STEPS = 0.5  # standard deviation of noise in steps: from there rounding adds its twelfth to within some per cent
+MOST = 0.5  # of the rows in one stretch without a gap: then it is the record
+SLOW = ("B", "K", "R")  # where rows stand apart that follow one another here, these come out as if time had stood still
 FEWEST = 16  # rows, below which there is no noise to speak of
 
 
@@ -51,7 +56,7 @@ class AtRest:
         """One line."""
         if self.reason:
             return f"{self.table}, {self.channel}: no noise, {self.reason}"
-        units = {"N": f"{self.unit}/√Hz", "B": self.unit, "K": f"{self.unit}·√Hz"}
+        units = {"N": f"{self.unit}/√Hz", "B": self.unit, "K": f"{self.unit}·√Hz", "R": f"{self.unit}/s (a ramp)"}
         known = [
             f"{name} = {one.value:.4g} ± {2.0 * (one.u or 0.0):.2g} {units[name]}"
             for name, one in self.coefficients.items()
@@ -87,18 +92,48 @@ def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
         raise BadInput(f"found samples that are no measurement, wanted a whole record at rest: {wrong[0].text}")
     if len(values) < FEWEST:
         raise BadInput(f"found {len(values)} rows, wanted some hundred")
+    _refuse_few_codes(values, step := step_of(values), unit)
     rate = 1.0 / _interval(time)
-    found = _spectrum(values, rate, step_of(values))
+    together = _longest(time)
+    found = _spectrum(values[together], rate, step)
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     known = dict(noise.coefficients(found.fitted))
+    if together == slice(None) and _apart(time).any():
+        known = {name: one for name, one in known.items() if name not in SLOW}
     return AtRest(table.label, column.channel, unit, mean, deviation, known, found)
+
+
+def _refuse_few_codes(values: Array, step: float, unit: str) -> None:
+    """Raises BadInput where noise hardly reaches from one number to the next: what rounding adds then goes with the
+    signal, and step²/12 is not its variance.
+    """
+    if not step > 0.0:
+        return
+    scatter = min(float(values.std()), float(np.diff(values).std()) / math.sqrt(2.0))
+    if scatter < math.hypot(LEAST_STEPS, 1.0 / math.sqrt(12.0)) * step:
+        wanted = f"wanted half a step of its numbers ({step:.3g} {unit}) or more: finer numbers, or a louder range"
+        raise BadInput(f"found a scatter of {scatter / step:.2g} steps, rounding among it, {wanted}")
 
 
 def _spectrum(values: Array, rate: float, step: float) -> Spectrum:
     periodogram = Periodogram(rate)
     periodogram.feed(values)
     lines = periodogram.result()
-    return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None), step)
+    return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None, ramp=True), step)
+
+
+def _apart(time: Array) -> NDArray[np.bool_]:
+    """Whether something is missing between a row and the next, (n − 1,)."""
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    return np.asarray((steps > GAP * usual) & (usual > 0.0))  # rows in batches share one stamp
+
+
+def _longest(time: Array) -> slice:
+    """The longest stretch without a gap if it holds most rows; else all of them, one after the other as they stand."""
+    first, count = max(runs(np.append(~_apart(time), True)), key=lambda one: one[1])
+    count = min(count + 1, len(time) - first)
+    return slice(first, first + count) if MOST * len(time) < count < len(time) else slice(None)
 
 
 def _interval(time: Array) -> float:

@@ -6,7 +6,8 @@ a moving platter and at rest. A density that was estimated is uncertain by some 
 for as many groups as there are.
 
 Rows that a fit left out are tested too, against their noise and what the fit does not know of its parameters: with J
-their derivatives and C the covariance of the fit, rᵀ(1 + J·C·Jᵀ)⁻¹r is χ² of as many rows as there are.
+their derivatives and C the covariance of the fit, rᵀ(1 + J·C·Jᵀ)⁻¹r is χ² of as many rows as there are. What a part
+finds out for itself from the other rows (`Part.unsure`) counts like parameters.
 """
 
 from __future__ import annotations
@@ -93,23 +94,29 @@ def _predicted(whole: Fit, trained: Fit, number: int) -> Iterator[Group]:
     part, first = whole.parts[number], whole.offsets()[number]
     assert trained.use is not None
     out = part.counted & ~trained.use[first : first + part.rows]
+    rest = whole.rest(number)
+    unsure = part.unsure(rest.local, rest.terms)
     for name, domain, mask, rows in _kinds(part, out):
         if len(rows):
             block = next(one for one in whole.blocks if first + rows[0] in one.rows)
             matrix = block.matrix[np.searchsorted(block.rows, first + rows)]
-            chi2 = distance(whole.left[first + rows], matrix, block.columns, trained.normal)
+            chi2 = distance(whole.left[first + rows], matrix, block.columns, trained.normal, unsure[rows])
             allowance = part.allowance_of(name, mask)
             yield Group(part.name, part.experiment, name, domain, chi2, len(rows), allowance)
 
 
-def distance(left: Array, matrix: Array, columns: Indices, normal: Array) -> float:
+def distance(left: Array, matrix: Array, columns: Indices, normal: Array, unsure: Array | None = None) -> float:
     """rᵀ(1 + J·C·Jᵀ)⁻¹r of rows r (n,) with derivatives J (n, k) by some parameters, C the inverse of the normal matrix
-    of all; what that does not determine takes all that it can.
+    of all; what that does not determine takes all that it can. `unsure` (n, m) moves with as many numbers more, each
+    known to one.
     """
-    pull = np.zeros(len(normal))
-    more = normal.copy()
-    pull[columns] = matrix.T @ left
-    more[np.ix_(columns, columns)] += matrix.T @ matrix
+    here, size = matrix if unsure is None else np.hstack([matrix, unsure]), len(normal)
+    extra = here.shape[1] - matrix.shape[1]
+    columns = np.concatenate([columns, size + np.arange(extra)])
+    pull, more = np.zeros(size + extra), np.eye(size + extra)
+    more[:size, :size] = normal
+    pull[columns] = here.T @ left
+    more[np.ix_(columns, columns)] += here.T @ here
     return max(float(left @ left) - float(pull @ fitting.inverse(more) @ pull), 0.0)
 
 

@@ -191,6 +191,16 @@ class NoiseSpectrum(Part):
 
     # how noisy the rows are
 
+    def unsure(self, local: Local, terms: Sequence[Term]) -> Array:
+        """Bands held out, by what the others do not tell of level, pole, corner and reach."""
+        found = np.zeros((len(self.row_names), self.width, OPEN))
+        if self.data.held is not None:
+            terms = self.here(terms)
+            at, first = self._density(local, terms)[:, -OPEN:], len(self.data.trained.dof)
+            added, there = (self._added(one, local, terms) for one in self._all)
+            found[:, first:-OPEN] = self._levels.unsure(at, added, self.data.held, there)
+        return found.reshape(self.rows, OPEN)
+
     def origin(self, name: str) -> Origin:
         return "averages"
 

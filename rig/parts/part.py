@@ -221,6 +221,12 @@ class Part(ABC):
     def noise(self) -> Array:
         """Variance of the noise of every number compared, referred to the input, SI², (names, width)."""
 
+    def unsure(self, local: Local, terms: Sequence[Term]) -> Array:
+        """How far rows that were held out move by one standard deviation of what a part finds of every name from the
+        others, whatever is fitted, (rows, k).
+        """
+        return np.zeros((self.rows, 0))
+
     def changes(self) -> Iterator[tuple[str, str, Array]]:
         """What may change in the course of a record while χ² of all rows hides it: a name, words, and what each of k
         such changes does to the rows, (rows, k), of any size.

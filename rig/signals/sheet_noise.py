@@ -184,16 +184,33 @@ class Levels:
         total = with_added(mean_density(self.sheet, self.rate, self.found, at), added)
         return np.asarray(np.sum(self.seen.deviates(total) ** 2, axis=1) + np.sum((at / self.sheet.known) ** 2, axis=1))
 
-    def _step(self, at: Array, added: Array) -> Array:
-        whole, slopes = self.sheet.spectrum(self.found.nodes, self.rate, at)
-        total = with_added(whole.mean(axis=-1), added)
-        columns = np.moveaxis(slopes.mean(axis=-1) / total * self.seen.slopes(total), 0, -1)  # (c, b, OPEN)
-        left = self.seen.deviates(total)
+    def unsure(self, at: Array, added: Array, other: Bands, there: Array) -> Array:
+        """How far deviates of other bands move by one standard deviation of what these leave open, (c, b, OPEN): the
+        square of the matrix is their covariance. `added` to these and `there` to those, (c, b) unit²/Hz.
+        """
+        columns, _ = _slopes(self.sheet, self.rate, self.found, at, added)
+        others, _ = _slopes(self.sheet, self.rate, other, at, there)
+        root = np.linalg.cholesky(self._normal(columns))
+        return np.asarray(np.swapaxes(np.linalg.solve(root, np.swapaxes(others, 1, 2)), 1, 2))
+
+    def _normal(self, columns: Array) -> Array:
+        """Normal matrix of what is open, with what is known of it beforehand, (c, OPEN, OPEN)."""
         weight = self.sheet.known**-2.0
-        normal = np.einsum("cbi,cbj->cij", columns, columns) + weight[:, :, None] * np.eye(OPEN)
-        downhill = np.einsum("cbi,cb->ci", columns, left) - weight * at
-        step = np.linalg.solve(normal, downhill[..., None])[..., 0]
+        return np.asarray(np.einsum("cbi,cbj->cij", columns, columns) + weight[:, :, None] * np.eye(OPEN))
+
+    def _step(self, at: Array, added: Array) -> Array:
+        columns, left = _slopes(self.sheet, self.rate, self.found, at, added)
+        downhill = np.einsum("cbi,cb->ci", columns, left) - self.sheet.known**-2.0 * at
+        step = np.linalg.solve(self._normal(columns), downhill[..., None])[..., 0]
         return np.asarray(at + np.clip(step, -LONGEST, LONGEST))
+
+
+def _slopes(sheet: Sheet, rate: float, found: Bands, at: Array, added: Array) -> tuple[Array, Array]:
+    """By how much deviates of bands fall with what is open, (c, b, OPEN), and the deviates, (c, b)."""
+    seen = Scatter.of(found)
+    whole, slopes = sheet.spectrum(found.nodes, rate, at)
+    total = with_added(whole.mean(axis=-1), added)
+    return np.moveaxis(slopes.mean(axis=-1) / total * seen.slopes(total), 0, -1), seen.deviates(total)
 
 
 def with_added(clean: Array, added: Array) -> Array:

@@ -173,6 +173,14 @@ def test_the_distance_of_rows_left_out_is_that_of_their_own_and_the_parameters_c
     assert found == pytest.approx(float(left @ np.linalg.solve(whole, left)))
 
 
+def test_what_a_part_finds_for_itself_counts_as_parameters_that_are_known_to_one() -> None:
+    random = np.random.default_rng(2)
+    matrix, unsure, left = random.normal(size=(5, 2)), random.normal(size=(5, 3)), random.normal(size=5)
+    whole = np.eye(5) + 0.25 * matrix @ matrix.T + unsure @ unsure.T
+    found = adequacy.distance(left, matrix, np.array([0, 1]), 4.0 * np.eye(2), unsure)
+    assert found == pytest.approx(float(left @ np.linalg.solve(whole, left)))
+
+
 def test_what_a_fit_does_not_determine_takes_from_rows_left_out_all_that_it_can() -> None:
     left = np.array([30.0, 31.0, 29.0])
     found = adequacy.distance(left, np.ones((3, 1)), np.array([0]), np.zeros((1, 1)))

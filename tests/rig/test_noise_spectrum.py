@@ -22,7 +22,7 @@ from rig.repair.repair import Bench, added, fitted
 from rig.shelf import effect_of, shelf
 from rig.signals.rest_lines import coarse_step, folded, strongest
 from rig.signals.rest_spectrum import Bands, bands
-from rig.signals.sheet_noise import Levels, Scatter, Sheet
+from rig.signals.sheet_noise import Levels, Scatter, Sheet, mean_density
 
 RATE, MAINS = 1000.0, 50.0
 HIDDEN: dict[str, tuple[str, dict[str, Any]]] = {
@@ -225,6 +225,27 @@ def test_what_is_added_is_taken_off_before_the_levels_are_found() -> None:
     levels = Levels(sheet(), RATE, like(sheet(), true, more=0.1))
     assert np.abs(levels.start()[0] - true).max() > 0.3
     assert levels.with_added(levels.start(), np.full((1, 39), 0.1))[0][:3] == pytest.approx(true[:3], abs=0.1)
+
+
+def test_bands_held_out_move_by_what_the_others_do_not_tell_of_the_sheet() -> None:
+    """Twenty seconds at rest of 1500 sensors tell level, pole, corner and reach of each, for ten seconds more."""
+    count, random = 1500, np.random.default_rng(8)
+    whole = Sheet(*(np.full(count, float(one[0])) for one in vars(sheet()).values()))
+    at = whole.known * random.normal(size=(count, 4))
+    sides, nothing = np.geomspace(0.1, 500.0, 26), np.zeros((count, 25))
+    nodes = np.sqrt(sides[:-1] * sides[1:])[:, None]
+    density = whole.spectrum(nodes, RATE, at)[0].mean(axis=-1)
+    told, held = (
+        Bands(nodes, sides[:-1], sides[1:], density * random.chisquare(dof, density.shape) / dof, dof, np.ones(25))
+        for dof in (np.maximum(2.0 * seconds * np.diff(sides), 10.0) for seconds in (20.0, 10.0))
+    )
+    levels = Levels(whole, RATE, told)
+    known, seen = levels.start(), Scatter.of(held)
+    moved = seen.deviates(mean_density(whole, RATE, held, known)) - seen.deviates(density)
+    stated = levels.unsure(known, nothing, held, nothing)
+    slow = sides[1:] < 50.0  # above, the shape of a sheet is the limit
+    assert np.mean(moved[:, slow] ** 2) > 0.05
+    assert np.sum(stated[:, slow] ** 2, axis=2).mean() == pytest.approx(np.mean(moved[:, slow] ** 2), rel=0.15)
 
 
 def test_deviates_of_few_lines_are_normal() -> None:

@@ -405,8 +405,8 @@ def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
         yield f"whether that is noise cannot be told: {_to_know(said.untold)}"
     else:
         yield errors
-    if not said.judged:
-        yield "too few rows are held out to judge by: take more points, poses or a longer record"
+    if said.unjudged:
+        yield said.unjudged
     if words := [one.in_words for one in said.faults if not one.accepted]:
         more = f" and {len(words) - FEW} more" if len(words) > FEW else ""
         yield f"the records hold what is no measurement ({'; '.join(words[:FEW])}{more}): look at it first"

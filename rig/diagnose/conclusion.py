@@ -24,7 +24,7 @@ from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.fit.fit import POLE_TOLERANCE, Fit
 from rig.fit.parameters import Estimate, Tied, covariance_of, estimates, independent, plausible, tied
-from rig.fit.quality import Place, errors_from, errors_of, on_all_rows
+from rig.fit.quality import Place, errors_from, errors_of, heldout_rows, on_all_rows
 from rig.model import Effect, Quantity, Term
 from rig.motion import Array
 from rig.parts.part import Finding
@@ -109,7 +109,7 @@ class Conclusion:
     `worst` says where the model as given fails most, `worst_after` what is left of that; `references` what of the
     references would have to leave its stated uncertainty with all steps taken. `untold` are groups
     of rows, with all steps taken, whose noise is known only from what the model leaves over; `faults` samples that
-    were left out, and what else looks wrong with the records; `judged` whether rows enough are held out to judge by.
+    were left out, and what else looks wrong with the records; `unjudged` why no rows judge it, "" if some do.
     """
 
     verdict: str
@@ -126,7 +126,7 @@ class Conclusion:
     excluded: tuple[Excluded, ...] = ()
     untold: tuple[Group, ...] = ()
     faults: tuple[Finding, ...] = ()
-    judged: bool = True
+    unjudged: str = ""
     references: tuple[Pull, ...] = ()
 
     @property
@@ -220,9 +220,21 @@ def concluded(evidence: Evidence, diagnosis: Diagnosis, shelf: Mapping[str, Effe
         excluded=tuple(_excluded(diagnosis)),
         untold=tuple(untold(diagnosis.final)),
         faults=tuple(dict.fromkeys(one for part in evidence.parts for one in part.faults)),
-        judged=bool(diagnosis.held),
+        unjudged="" if diagnosis.held else _unjudged(diagnosis.final),
         references=tuple(pulls(diagnosis.final)),
     )
+
+
+def _unjudged(found: Fit) -> str:
+    """Why no rows judge a model, and what would: states that were met once are not held out, and rows that are must
+    leave more than the parameters need.
+    """
+    out, size = int(np.count_nonzero(heldout_rows(found))), found.layout.size
+    why = "" if out else ", what was met once is kept"
+    if out >= adequacy.FEWEST_HELD:
+        why = f", and the other {found.count - out} are too few for {size} parameters"
+    more = "; ".join(dict.fromkeys(part.to_judge for part in found.parts))
+    return f"too few rows are held out to judge by ({out} of {found.count}{why}): take {more}"
 
 
 def _excluded(diagnosis: Diagnosis) -> Iterator[Excluded]:

@@ -217,6 +217,11 @@ class Part(ABC):
         """What would make their noise known independently of a misfit."""
         return "record 30 s at rest"
 
+    @property
+    def to_judge(self) -> str:
+        """What would leave rows to hold out."""
+        return "a longer record"
+
     @abstractmethod
     def noise(self) -> Array:
         """Variance of the noise of every number compared, referred to the input, SI², (names, width)."""

@@ -326,6 +326,10 @@ class Poses(Part):
         found = np.sum(slope**2 * self._variance[self._triad], axis=0)
         return np.asarray(np.where(found > 0.0, found, 1.0))
 
+    @property
+    def to_judge(self) -> str:
+        return "more poses, twelve or more"
+
     def origin(self, name: str) -> Origin:
         return "at rest"
 

@@ -211,6 +211,10 @@ class ResponseTable(Part):
             columns[np.repeat(is_mean, 2)] = 0.0
             yield self.row_names[0], f"its {words} in the course of the table", columns
 
+    @property
+    def to_judge(self) -> str:
+        return "more frequencies"
+
     def origin(self, name: str) -> Origin:
         return "repeats" if len(self.data.frequency) > len(self._turns) else "stated"
 

@@ -305,6 +305,10 @@ class Sweep(Part):
 
     # noise, and what the rows stand for
 
+    @property
+    def to_judge(self) -> str:
+        return "more levels or frequencies, or each again"
+
     def origin(self, name: str) -> Origin:
         """Lines are as noisy as what lies beside them, means as the rest and all records' slow noise make them."""
         return "beside the lines" if self.data.driven.all() else "at rest"

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import fast_bench
+import imported_sweeps
 import imported_worlds as worlds
 import numpy as np
 import pytest
@@ -181,6 +182,13 @@ def test_what_a_part_finds_for_itself_counts_as_parameters_that_are_known_to_one
     assert found == pytest.approx(float(left @ np.linalg.solve(whole, left)))
 
 
+def test_levels_that_are_all_met_once_and_none_of_which_can_be_spared_leave_a_clean_sweep_undecided() -> None:
+    two, three = (worlds.evidence(imported_sweeps.made(levels=levels)) for levels in ((0.3, 1.0), (0.3, 0.5, 1.0)))
+    said = verdict_text(concluded(two, diagnose(two), shelf()))
+    assert "(0 of 23, what was met once is kept): take more levels or frequencies, or each again" in said
+    assert diagnose(three).verdict == "adequate"
+
+
 def test_what_a_fit_does_not_determine_takes_from_rows_left_out_all_that_it_can() -> None:
     left = np.array([30.0, 31.0, 29.0])
     found = adequacy.distance(left, np.ones((3, 1)), np.array([0]), np.zeros((1, 1)))
@@ -209,5 +217,6 @@ def test_with_too_few_rows_held_out_that_is_said_and_nothing_is_called_adequate(
     assert found.held == ()
     assert found.verdict == "undecided"
     said = verdict_text(concluded(evidence, found, shelf()))
-    assert "too few rows are held out" in said
+    assert "too few rows are held out to judge by (" in said
+    assert "take more frequencies" in said
     assert "nan" not in said

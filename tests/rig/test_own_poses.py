@@ -8,11 +8,14 @@ from functools import lru_cache
 import fast_bench
 import pytest
 
+from rig.cli.repair import verdict_text
+from rig.diagnose.conclusion import concluded
 from rig.diagnose.diagnose import diagnose
 from rig.diagnose.misfit import compare
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
 from rig.fit.fit import Fit, begin, fit
+from rig.shelf import shelf
 
 
 @lru_cache(maxsize=2)
@@ -89,3 +92,11 @@ def test_a_zero_that_follows_the_temperature_is_seen_at_rest() -> None:
     run = fast_bench.measure({"procedure": "noise", "length": "600 s"}, fast_bench.world(3, [hidden]))
     found = diagnose(evidence_of([run]))
     assert {"temperature_bias", "warm_up"} & {one.name for step in found.steps for one in step.members}
+
+
+def test_six_poses_tell_a_triad_and_twelve_judge_it_too() -> None:
+    few, enough = (diagnose(tumbled(poses=count)) for count in (6, 12))
+    assert (few.verdict, enough.verdict) == ("undecided", "adequate")
+    said = verdict_text(concluded(tumbled(poses=6), few, shelf()))
+    assert "36 of 72, and the other 36 are too few for" in said
+    assert said.endswith("take more poses, twelve or more")

@@ -8,6 +8,7 @@ far off, and nothing thereabouts is once it is taken out: a knock lasts, or its 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ Rows = NDArray[np.intp]
 SIDE = 3  # rows on either side
 FAR = 6.5  # standard deviations of what noise leaves
 OFF = 5.0  # of them, where rows are alike that hardly ever are: of three hundred such, noise is as far off in 1e-4
+PAIRS = 200  # of rows all over, held against the same polynomial
+ABOVE = 3.0  # times what one of a hundred of them reaches: of plain noise that is as far as the limit
 FINE = 0.05  # share of rows that are like the one before, up to which they hardly ever are
 KNOCK = 3.5  # of them, in another signal at about the same row: a case that was knocked
 ABOUT = 7  # rows on either side
@@ -168,18 +171,24 @@ def _alike(held: _Held, limit: float) -> list[int]:
     """Rows that are like the one before where hardly any are, and off: held, or cut off at the top of a swing.
 
     Two together draw the polynomial through the others after them, so that each by itself is not far off; but so few
-    are alike by chance that less will do.
+    are alike by chance that less will do. A motion that the polynomial does not follow is off anywhere by as much.
     """
     same = np.diff(held.known) == 0.0
-    if same.mean() > FINE:
+    stand = [] if same.mean() > FINE else list(_alike_beyond(held, same, limit))
+    if not stand or len(stand) > MOST:
         return []
-    found: list[int] = []
+    usual = float(np.quantile([_away(held, out, int(out[0])) for out in _anywhere(held)], 0.99))
+    return [int(row) for out, off in stand if off > ABOVE * usual for row in out]
+
+
+def _alike_beyond(held: _Held, same: NDArray[np.bool_], limit: float) -> Iterator[tuple[Rows, float]]:
+    """Such rows, all together or all after the first, and how far off they are."""
     for first, more in runs(same):
         rows = np.arange(first, first + more + 1)
-        if len(rows) <= TOGETHER:
-            stand = next((out for out in (rows, rows[1:]) if _off_alone(held, out, int(out[0])) > limit), rows[:0])
-            found += [int(one) for one in stand]
-    return found if len(found) <= MOST else []
+        for out in (rows, rows[1:]) if len(rows) <= TOGETHER else ():
+            if (off := _off_alone(held, out, int(out[0]))) > limit:
+                yield out, off
+                break
 
 
 def _off_alone(held: _Held, out: Rows, row: int) -> float:
@@ -192,8 +201,18 @@ def _off_alone(held: _Held, out: Rows, row: int) -> float:
     filled = held.known[begin:end].copy()
     filled[out - begin] = _through(held, out, row)
     left = np.abs(_off(filled, held.weights[:, begin:end])) / held.scatter[begin:end]
-    moved = np.abs(held.known[out] - filled[out - begin]) / held.scatter[out]
-    return float(moved.min()) if left[SIDE:-SIDE].max() < QUIET else 0.0
+    return _away(held, out, row) if left[SIDE:-SIDE].max() < QUIET else 0.0
+
+
+def _away(held: _Held, out: Rows, row: int) -> float:
+    """How far the nearest of some rows is off what leads through those about them, in units of the scatter."""
+    return float(np.min(np.abs(held.known[out] - _through(held, out, row)) / held.scatter[out]))
+
+
+def _anywhere(held: _Held) -> list[Rows]:
+    """Pairs of rows all over."""
+    at = np.linspace(3 * SIDE, len(held.known) - 3 * SIDE - 2, PAIRS).astype(np.intp)
+    return [np.array([one, one + 1]) for one in at]
 
 
 def _through(held: _Held, out: Rows, row: int) -> Array:

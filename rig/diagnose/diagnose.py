@@ -36,6 +36,7 @@ Verdict = Literal["adequate", "missing", "unlisted", "undecided"]
 CHANCE = 16.0  # χ² that one coordinate hardly gains by chance among the candidates of a shelf
 PER_COORDINATE = 5.0  # more of it for each further coordinate
 PER_START = 1.5  # and for every factor e of starts tried
+PER_WAY = 2.0  # and of channels or units that alone could have it, which do not go together as starts do (Bonferroni)
 FINDING = 30.0  # evidence that a test of its own must have
 CLASS = 9.0  # χ² within which another effect is not excluded by the data
 LARGEST_CLASS = 3
@@ -196,12 +197,43 @@ def _step(
     scored = search.scores(current, search.possible(shelf, current), memory)
     least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
     choices = _choices(current, scored, least=least if adequacy.adequate(current) else 0.0)
+    choices = _with_narrower(current, shelf, choices, scored[0].gain if scored else 0.0, memory)
     if not choices or choices[0].merit <= 0.0:
         return None, tuple(scored)
     first = choices[0]
     if first.gain < least and not (first.gain > QUARTER * adequacy.excess(current) and _leaves_noise(first)):
         return None, tuple(scored)
     return _taken(current, choices), tuple(scored)
+
+
+def _with_narrower(
+    current: Fit, shelf: Mapping[str, Effect], choices: list[Choice], most: float, memory: search.Memory
+) -> list[Choice]:
+    """Choices, and with them those that act on one channel or one unit, where such a one does clearly better than all
+    that act on every channel, of which a score promises no more than `most`: what all have promises less in a few.
+    """
+    terms = [
+        term
+        for on, only in search.narrower(current)
+        for term in search.possible(shelf, current, only=only) if term.on == on
+    ]  # fmt: skip
+    scored = search.scores(current, terms, memory) if terms else []
+    if not scored or scored[0].gain <= most:
+        return choices
+    narrow = _choices(current, scored)
+    best = max((one.merit for one in choices), default=0.0)
+    if not narrow or narrow[0].merit <= max(best, 0.0) + CLASS:
+        return choices
+    return _weighed([*narrow, *choices])
+
+
+def _weighed(choices: Sequence[Choice]) -> list[Choice]:
+    """Choices of several searches, most meritorious first, with probabilities among them and against chance."""
+    top = max(max(one.merit for one in choices), -MOST_CERTAIN)
+    weights = [math.exp(0.5 * (one.merit - top) / one.doubt) for one in choices]
+    total = sum(weights) + math.exp(-0.5 * max(min(top, MOST_CERTAIN), -MOST_CERTAIN))
+    made = [replace(one, probability=weight / total) for one, weight in zip(choices, weights, strict=True)]
+    return sorted(made, key=lambda one: -one.merit)
 
 
 def _leaves_noise(choice: Choice) -> bool:
@@ -238,7 +270,7 @@ def _exchanged(
         without = _with_terms(base, [_at(current, term) for term in others])
         scored = search.scores(without, search.possible(shelf, without), memory)
         choices = _choices(without, scored)
-        was = without.objective - current.objective - chance_of(old.term) - 2.0 * old.term.effect.rarity
+        was = without.objective - current.objective - chance_of(old.term, base) - 2.0 * old.term.effect.rarity
         if choices and choices[0].name != old.name and choices[0].merit > was + CLASS:
             step = _taken(without, choices)
             steps, current = _rebuilt(base, [*steps[:place], step, *steps[place + 1 :]]), step.after
@@ -277,7 +309,7 @@ def _paired(
 def _alone(without: Fit, term: Term, shelf: Mapping[str, Effect], memory: search.Memory) -> Step:
     """The step that leads from a model without a term to one with it, and what else could be in its place."""
     choices = _choices(without, search.scores(without, search.possible(shelf, without), memory))
-    mine = [one for one in choices if one.name == term.effect.name and one.term.on == term.on]
+    mine = [one for one in choices if (one.name, one.term.on, one.term.only) == (term.effect.name, term.on, term.only)]
     mine = mine or [_chosen(without, term)]  # by itself it may be none of those that are worth a refit
     return _taken(without, [*mine, *(one for one in choices if one not in mine)])
 
@@ -286,7 +318,7 @@ def _chosen(without: Fit, term: Term) -> Choice:
     """A term that was decided on, with what it removes."""
     made = _with_terms(without, [term])
     gain = without.objective - made.objective
-    merit = gain - chance_of(term) - 2.0 * term.effect.rarity
+    merit = gain - chance_of(term, without) - 2.0 * term.effect.rarity
     return Choice(made.state.terms[-1], made.u(len(made.state.terms) - 1), gain, merit, 1.0, term.effect.missing, made)
 
 
@@ -332,7 +364,12 @@ def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
 
 def chance(score: Score | Candidate) -> float:
     """χ² that a candidate of this size and with so many starts may gain by chance."""
-    return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps)
+    return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps) + _of_ways(score.ways)
+
+
+def _of_ways(ways: int) -> float:
+    """χ² that the best of so many places may gain more than one."""
+    return PER_WAY * math.log(ways)
 
 
 def _merits(current: Fit, refits: Sequence[Candidate], least: Fit) -> Iterator[tuple[float, float]]:
@@ -364,12 +401,14 @@ def _unevenness(before: Fit, after: Fit, least: Fit) -> float:
 
 def _price(one: Choice) -> float:
     """χ² that an effect must be worth: what chance gives, and how unusual it and its size are."""
-    return chance_of(one.term) + 2.0 * one.term.effect.rarity + search.improbability(one.term, one.u)
+    assert one.fit is not None
+    return chance_of(one.term, one.fit) + 2.0 * one.term.effect.rarity + search.improbability(one.term, one.u)
 
 
-def chance_of(term: Term) -> float:
-    """The same for a term that was refitted from one start."""
-    return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1)
+def chance_of(term: Term, found: Fit) -> float:
+    """The same for a term that was refitted from one start, among the channels of a fit."""
+    ways = _of_ways(search.ways_of(found.parts, term))
+    return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1) + ways
 
 
 def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS, least: float = 0.0) -> list[Choice]:

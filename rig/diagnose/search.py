@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.fit import adequacy
 from rig.fit import fit as fitting
 from rig.fit.fit import Fit, fitted
-from rig.model import Effect, Quantity, Term
+from rig.model import BOTH, Effect, Quantity, Term
 from rig.motion import Array
+from rig.parts.part import Part
 
 HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
 ROUNDING = 1e-6  # of a column's norm: less is no more than rounding
@@ -32,6 +34,9 @@ SHORT = 0.5  # of what a score promised: a quick refit that removes less went as
 AWAY = (10.0, 100.0)  # steps of a coordinate: not straight any more
 MANY = 8  # starts in a row: of more, every second is tried first
 SETTLED = 0.02  # of χ²
+MOSTLY = 0.5  # of what is left in a quantity: less in one channel or unit is no reason to think that it is there alone
+ALONE = 0.9  # of what is left in a unit: then it is that channel's, as far as anybody can tell
+TELLS = 0.5  # of a sensitivity's tolerance
 
 
 Memory = dict[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -48,6 +53,7 @@ class Score:
     visible: float  # largest share of a column outside the span of the model
     steps: int  # starts that were tried
     size: int = 1  # coordinates that the data see
+    ways: int = 1  # to choose the channels that have it
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class Candidate:
     steps: int
     size: int
     full: bool = False
+    ways: int = 1
 
     @property
     def name(self) -> str:
@@ -94,6 +101,55 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "", only: 
                 zero = dict.fromkeys((c.name for c in effect.coordinates), 0.0)
                 result.append(Term(effect, on, zero, only=only))
     return result
+
+
+def narrower(found: Fit) -> list[tuple[Quantity, tuple[str, ...]]]:
+    """Where an effect may be in some channels only: one channel or one unit of a quantity in which most of what is left
+    stands, though others are driven as well.
+    """
+    places: list[tuple[Quantity, tuple[str, ...]]] = []
+    above: dict[str, float] = {}
+    for one in adequacy.groups(found):
+        if one.z > adequacy.EXCEEDS:
+            above[one.channel] = above.get(one.channel, 0.0) + one.chi2 - one.count
+    for on in BOTH:
+        channels, driven = _units(found.parts, on), _driven(found, on)
+        total = sum(above.get(name, 0.0) for name in channels)
+        for some in _some(channels):
+            share = sum(above.get(name, 0.0) for name in some)
+            alone = max(above.get(name, 0.0) for name in some)
+            told = len(some) == 1 or alone < ALONE * share
+            if total > 0.0 and share > MOSTLY * total and told and driven - set(some):
+                places.append((on, some))
+    return places
+
+
+def _units(parts: Sequence[Part], on: Quantity) -> dict[str, str]:
+    """Unit of every channel of a quantity, by its name."""
+    return {p.channels.names[c]: p.channels.unit[c] for p in parts for c in p.channels.of(on)}
+
+
+def _some(channels: Mapping[str, str]) -> list[tuple[str, ...]]:
+    """Single channels, and units of several."""
+    units = [tuple(name for name, own in channels.items() if own == one) for one in dict.fromkeys(channels.values())]
+    whole = [unit for unit in units if 1 < len(unit) < len(channels)]
+    return [*((name,) for name in channels), *whole] if len(channels) > 1 else []
+
+
+def _driven(found: Fit, on: Quantity) -> set[str]:
+    """Channels of a quantity whose sensitivities the records tell: what acts on the input would show there."""
+    names = set()
+    for number, part in enumerate(found.parts):
+        u = np.sqrt(np.maximum(np.diag(found.covariance)[found.layout.own(part, number)[:, 0]], 0.0))
+        names |= {
+            part.channels.names[c] for c in part.channels.of(on) if 0.0 < u[c] < TELLS * part.channels.tolerance[c]
+        }
+    return names
+
+
+def ways_of(parts: Sequence[Part], term: Term) -> int:
+    """How many channels and units could have been chosen in place of those of a term."""
+    return max(len(_some(_units(parts, term.on))), 1) if term.only and term.on is not None else 1
 
 
 @dataclass(frozen=True)
@@ -177,7 +233,8 @@ def _scored(sight: _Sight, term: Term) -> Score:
     if best is None or best.gain <= 0.0:
         best = Score(term, term, 0.0, 0.0, steps)
     visible, size = (one.visible for one in tried), (one.size for one in tried)
-    return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]))
+    ways = ways_of(sight.found.parts, term)
+    return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]), ways=ways)
 
 
 def _starts(sight: _Sight, term: Term, parts: Sequence[int]) -> list[dict[str, float]]:
@@ -264,7 +321,7 @@ def _afresh(found: Fit, score: Score) -> Candidate:
     state = replace(found.state, terms=(*found.state.terms, score.start))
     made = fitting.fit(found.parts, state, use=found.use, iterations=FIRST_ROUNDS)
     return Candidate(made.state.terms[-1], found.objective - made.objective, made,
-                     made.u(len(made.state.terms) - 1), score.steps, score.size)  # fmt: skip
+                     made.u(len(made.state.terms) - 1), score.steps, score.size, ways=score.ways)  # fmt: skip
 
 
 def completed(found: Fit, one: Candidate) -> Candidate:
@@ -303,7 +360,8 @@ def _quickly(sight: _Sight, score: Score) -> Candidate:
     made = Fit(found.parts, state, order, left, found.blocks, normal, np.zeros(len(normal)), float(left @ left),
                objective - float(left @ left), found.use)  # fmt: skip
     return Candidate(state.terms[-1], found.objective - objective, made,
-                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size)  # fmt: skip
+                     dict(zip(fitted(score.term), u.tolist(), strict=True)), score.steps, score.size,
+                     ways=score.ways)  # fmt: skip
 
 
 _Begun = tuple[fitting.State, Array, float]

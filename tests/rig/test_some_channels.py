@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from imported_worlds import Unit, changed, evidence, motion
 
-from rig.cli.repair import history_text, repaired_text
+from rig.cli.repair import candidate_text, history_text, repaired_text
+from rig.diagnose import search
+from rig.diagnose.conclusion import conclude
+from rig.diagnose.diagnose import chance
 from rig.errors import BadInput, ConfigError
 from rig.model import Term
 from rig.repair import repair
@@ -17,14 +21,14 @@ from rig.repair.model_file import load, save, terms_of
 from rig.repair.repair import Bench, Repaired, channels_named
 from rig.shelf import effect_of, nothing_of, shelf
 
-BENT = 0.03  # (rad/s)⁻²
+BENT = 0.1  # (rad/s)⁻²
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
     """Free motion of a unit of which one gyro bends."""
-    made = motion(Unit(), 6, seconds=20.0, rows=100.0)
+    made = motion(Unit(), 6, seconds=40.0, rows=100.0)
     return Bench(evidence(changed(made, "gyro_y", lambda v: v + BENT * v**3)), shelf(), 0.0)
 
 
@@ -75,6 +79,33 @@ def test_beside_it_stands_another_one_and_each_can_be_taken_out(bench: Bench, re
     assert [one.where for one in left.model.effects] == ["rate"]
     with pytest.raises(BadInput, match="in the model already"):
         repair.added(bench, repaired.model, "cubic", "rate", channels=("gyro_y",))
+
+
+def test_the_search_finds_which_channel_has_it_and_says_the_command_that_adds_it(bench: Bench) -> None:
+    said = conclude(bench.evidence, (), bench.shelf)
+    first = said.taken[0]
+    assert (said.verdict, first.effect, first.channels) == ("missing", "cubic", ("gyro_y",))
+    assert first.parameters["coefficient"].value == pytest.approx(BENT, rel=0.2)
+    assert "cubic (cubic nonlinearity of gyro_y only)" in candidate_text(first, nearest=False)[0]
+    assert said.diagnosis.steps[0].taken.term.key == "cubic (gyro_y)"
+
+
+def test_what_all_channels_have_is_not_looked_for_in_one() -> None:
+    made = motion(Unit(), 6, seconds=40.0, rows=100.0)
+    for name in GYROS:
+        made = changed(made, name, lambda v: v + BENT * v**3)
+    found = evidence(made).fitted()
+    assert [some for on, some in search.narrower(found) if on == "rate"] == []
+
+
+def test_the_best_of_so_many_channels_pays_for_them(bench: Bench) -> None:
+    found = bench.evidence.fitted()
+    everywhere, one = (
+        search.scores(found, search.possible({"cubic": effect_of("cubic")}, found, only=only))[0]
+        for only in ((), ("gyro_y",))
+    )
+    # by chance the best of m gains 2·ln m more than one; three gyros, and no unit among them
+    assert chance(one) - chance(everywhere) == pytest.approx(2.0 * math.log(3))
 
 
 def test_a_correction_undoes_it_in_that_channel_alone(repaired: Repaired) -> None:

@@ -12,7 +12,7 @@ class GSensitivity(Effect):
     title = "linear g-sensitivity"
     equation = "u = ω + coefficient·f_next"
     quantities = ("rate",)
-    places = ("turntable", "rotation", "free", "poses")
+    places = ("shaker", "turntable", "rotation", "free", "poses")
     coordinates = (Coordinate("coefficient", 1e-4),)
     parameters = (Parameter("coefficient", "(rad/s)/(m/s²)", (-math.inf, math.inf), (1.8e-5, 3.6e-4)),)
     missing = "gyro error ∝ ω²·r where the next axis is radial, ∝ angular acceleration where tangential, else constant"

@@ -1,5 +1,5 @@
-"""Warm-up: the zero output settles exponentially. Time counts from the beginning of the first record, so `shift` is
-what was left then."""
+"""Warm-up: the zero output settles exponentially. Time counts from the beginning of the first record of a session
+(runs that follow one another closely), so `shift` is what was left then."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.model import BOTH, Array, Channels, Coordinate, Drift, Effect, Inverse,
 class WarmUp(Effect):
     stage = "transducer"
     title = "warm-up"
-    equation = "V₀(t) = V₀ + S·shift·exp(−t/time_constant), t since the first record began"
+    equation = "V₀(t) = V₀ + S·shift·exp(−t/time_constant), t since the first record of the session began"
     quantities = BOTH
     coordinates = (
         Coordinate("shift", 0.01),

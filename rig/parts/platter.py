@@ -82,6 +82,7 @@ class Platter(Part):
 
     def _read(self, terms: Sequence[Term]) -> Motion:
         data = self.data
+        since = float(data.time[0]) if data.since is None else data.since
         shown = data.closed if any(term.effect.looks_in == "closure" for term in terms) else data.counted
         angle, rate, acceleration = true_motion(shown, [term for term in terms if turns(term)])
         force = (
@@ -90,7 +91,7 @@ class Platter(Part):
         return Motion(
             grid=self.grid, place=self.experiment, force=force, rate=data.up * rate, turning=data.up * acceleration,
             up=data.up, gravity=data.gravity, temperature=filled("temperature", data.temperature),
-            supply=filled("supply", data.supply), elapsed=data.time - float(data.time[0]), angle=angle,
+            supply=filled("supply", data.supply), elapsed=data.time - since, angle=angle,
             motor=data.motor.astype(np.float64), outward=data.outward, tangent=data.tangent,
         )  # fmt: skip
 

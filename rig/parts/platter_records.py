@@ -51,6 +51,7 @@ class PlatterRecords:
     resting: float  # s at rest, from which the noise is known
     graduation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the disk's pattern: rms rad, u, evidence
     notes: tuple[str, ...] = ()
+    since: float | None = None  # s, when the first record of its session began; None: that of its own
 
 
 def only_stretches(data: PlatterRecords, seconds: float) -> PlatterRecords:

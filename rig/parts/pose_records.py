@@ -38,3 +38,4 @@ class PoseRecords:
     zero: Array | None = None  # (c,): zero outputs where a fit begins, V; none where the numbers are about them already
     up: Array | None = None  # (3, n): what the owner says is up, NaN where nobody does
     covariance: Array | None = None  # None: every mean has a noise of its own
+    since: float | None = None  # s, when the first record of its session began; None: that of its own

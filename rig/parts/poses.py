@@ -131,7 +131,7 @@ class Poses(Part):
             grid=self.grid, place=self.experiment, force=force, rate=rate, turning=np.zeros_like(rate), up=_unit(force),
             gravity=data.gravity, temperature=filled("temperature", data.temperature),
             supply=filled("supply", data.supply),
-            elapsed=data.time - float(data.time.min()),
+            elapsed=data.time - (float(data.time.min()) if data.since is None else data.since),
         )  # fmt: skip
 
     def _first(self, sensitivity: Array, zero: Array) -> Array:

@@ -82,9 +82,14 @@ class Sweep(Part):
         return Motion(
             grid=self.grid, place=self.experiment, force=still, rate=still, turning=still, up=up, gravity=data.gravity,
             temperature=filled("temperature", data.temperature), supply=filled("supply", data.supply),
-            elapsed=0.5 * (data.begin + data.end) - float(data.begin.min()), along=data.shown, drive=drive, side=side,
+            elapsed=self._elapsed(data.since), along=data.shown, drive=drive, side=side,
             source=2.0 * data.source, scale=data.scale,
         )  # fmt: skip
+
+    def _elapsed(self, since: float | None) -> Array:
+        """Middle of every record, s after this instant or else after the first began, (p,)."""
+        middle = 0.5 * (self.data.begin + self.data.end)
+        return np.asarray(middle - (float(self.data.begin.min()) if since is None else since))
 
     def moved(self, terms: Sequence[Term]) -> Motion:
         """The true motion, once the effects of the reference are taken off what it shows."""
@@ -115,7 +120,7 @@ class Sweep(Part):
         found[..., :ORDERS] = volts(self.moved(terms), channels, local, terms, before, self._memory)
         for term in terms:
             for place, order in enumerate(MAINS_ORDERS, ORDERS):
-                more = term.effect.at_mains(order, self.reference.elapsed, term.at)
+                more = term.effect.at_mains(order, self._elapsed(None), term.at)
                 if more is not None:
                     found[term.among(channels), :, place] += more
         return found

@@ -71,6 +71,7 @@ class SweepRecords:
     drive_off: bool = False  # and not the recorder's clock; else `leftovers` tell
     held: NDArray[np.bool_] | None = None  # (p,): points that a model is judged by; every third without
     vibrometer: bool = True  # whether the reference is one
+    since: float | None = None  # s, when the first record of its session began; None: that of its own
 
     @property
     def driven(self) -> NDArray[np.bool_]:

@@ -270,7 +270,8 @@ class Whole:
             u_turn=np.array([one.u_angle for one in intervals]), seconds=seconds, time=begin + 0.5 * seconds,
             held=np.array([one.held for one in intervals]), gravity=gravity[0], u_gravity=gravity[1],
             zero=self.zero, up=np.stack([signed(one.up) for one in intervals], axis=1),
-            notes=(*notes, said, *gyros) if said else (*notes, *gyros), **conditions,
+            notes=(*notes, said, *gyros) if said else (*notes, *gyros),
+            temperature=conditions["temperature"], supply=conditions["supply"],
         )  # fmt: skip
 
     def _covariance(self, rest: Sequence[slice], begin: Array, seconds: Array) -> Array:

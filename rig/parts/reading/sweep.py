@@ -21,6 +21,7 @@ from rig.parts.conditions import smoothed
 from rig.parts.ranges import beyond_range
 from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
+from rig.parts.reading.sessions import begun
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sine_points, sines
 from rig.parts.sweep import Sweep
 from rig.parts.sweep_lines import LIMIT, density, drive_clock, slow_noise, taken
@@ -58,7 +59,8 @@ class _Record:
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every sweep of the rig's own runs."""
     own = [run for run in runs if not is_foreign(run)]
-    parts = [(run, Sweep(data)) for run in own for data in shaken(run)]
+    since = begun(runs)
+    parts = [(run, Sweep(replace(data, since=since.get(run.name)))) for run in own for data in shaken(run)]
     for run, part in parts:
         part.notes = (*part.notes, *beyond_range(run, part))
     swept = [one for run in own for one in _swept(run)]

@@ -22,6 +22,7 @@ from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import Poses
 from rig.parts.reading.poses import Interval, Whole, held_out
 from rig.parts.reading.reading import Reading
+from rig.parts.reading.sessions import begun
 from rig.parts.remainder import Indices
 
 HELD = 0.4  # of the poses, or of the time of each where none can be spared, as for imported ones
@@ -33,9 +34,10 @@ LOGGED = {"temperature": 100.0, "supply": 1.0}  # per volt at the converter
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every tumble of the rig's own runs."""
     parts: list[Part] = []
+    since = begun(runs)
     for run in (one for one in runs if not is_foreign(one)):
         for number, one in enumerate(one for one in experiments(run) if poses_of(one)):
-            parts += [Poses(data) for data in tumbled(one, number)]
+            parts += [Poses(replace(data, since=since.get(run.name))) for data in tumbled(one, number)]
     return Reading(tuple(parts))
 
 

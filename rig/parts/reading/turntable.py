@@ -24,6 +24,7 @@ from rig.parts.ranges import beyond_range
 from rig.parts.reading import nuisances
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.revolutions import SLOWEST, mount_of
+from rig.parts.reading.sessions import begun
 from rig.parts.reference_motion import Shown
 from rig.sensor import Sensor
 from rig.signals import noise
@@ -70,7 +71,8 @@ class _Record:
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every turntable run of the rig's own."""
     own = [run for run in runs if not is_foreign(run)]
-    parts = [(run, Platter(data)) for run in own for data in spun(run)]
+    since = begun(runs)
+    parts = [(run, Platter(replace(data, since=since.get(run.name)))) for run in own for data in spun(run)]
     for run, part in parts:
         part.notes = (*part.notes, *beyond_range(run, part))
     done = [one for run in own for one in experiments(run)]

@@ -88,7 +88,7 @@ def test_every_candidate_says_what_it_removes_why_and_what_would_tell_it_apart(d
         assert set(one) == {
             "effect", "on", "class", "probability", "error_after", "heldout_error_after", "parameters", "plausible",
             "because", "separate_by", "step", "taken", "worst_after",
-            "not_known_apart", "depends_on_band",
+            "not_known_apart", "depends_on_band", "channels",
         }  # fmt: skip
         assert 0.0 <= one["probability"] <= 1.0
         assert one["effect"] in one["class"]
@@ -201,7 +201,7 @@ def test_a_formula_of_ones_own_brings_the_error_down_and_stands_in_the_model_fil
         (("wave", "--formula", "k*u**3", "--start", "p=1"), "found a unit or a start for 'p', wanted one of k"),
         (("cubic", "--formula", "k*u**3"), "found the name 'cubic' for a formula.*wanted a name of its own"),
         (("wave", "--formula", "k*u**3", "--on", "unit_a_q"), "--on: found 'unit_a_q', wanted"),
-        (("cubic", "--on", "unit_a_x"), "found unit_a_x for cubic, wanted acceleration or rate"),
+        (("cubic", "--on", "unit_q_x"), "found 'unit_q_x', wanted"),
         (("cubic", "--start", "w=1 g"), "without a formula, wanted --formula with it"),
         (("cubic", "--start", "paperr"), "found 'paperr', wanted datasheet, paper, shared, or"),
     ],

@@ -138,7 +138,7 @@ def other_reading(seen: Seen) -> Other | None:
     """
     errors = seen.errors()
     best = float(errors.min())
-    if not best < FITS * min(float(errors[0]), seen.size):
+    if not (math.isfinite(best) and best < FITS * min(float(errors[0]), seen.size)):  # no size without rows
         return None
     near = np.flatnonzero(errors <= ALIKE * best + ROUNDING * seen.size)
     chosen = min(near, key=lambda one: (moved(READINGS[one]), errors[one]))

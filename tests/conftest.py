@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,13 +19,26 @@ APART = {"test_commands", "test_docs", "test_golden_values", "test_guarded_run",
 """Modules of long tests that share nothing: each may have a process to itself."""
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whole commands first, so that no long one is left at the end; what a module makes once is made in one process."""
+    """Whole commands first, so that no long one is left at the end."""
     items.sort(key=lambda one: one.path.parent != HERE)
-    for one in items:
-        if one.path.stem not in APART:
-            one.add_marker(pytest.mark.xdist_group(one.path.relative_to(HERE).as_posix()))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """What a module makes once is made in one process: a unit of work is a module, in the order of collection.
+
+    Groups by marks would do, but pytest 9.2 no longer reads the identity that pytest-xdist 3.8 writes them into.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByModule(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = nodeid.partition("::")[0]
+            return nodeid if Path(module).stem in APART else module
+
+    config.option.loadscopereorder = False
+    return ByModule(config, log)
 
 
 @pytest.fixture(scope="session")

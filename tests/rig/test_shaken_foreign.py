@@ -16,6 +16,7 @@ from rig.errors import BadInput
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence
 from rig.foreign.tables import Foreign
+from rig.parts import sweep_lines
 from rig.parts.reading.imported_sweep import sweeps
 from rig.parts.reading.shaker_distortion import distortions, gains
 from rig.parts.sweep import Sweep
@@ -241,3 +242,10 @@ def test_no_command_of_the_bench_is_advised_for_a_sweep_that_somebody_else_made(
     (said,) = part.said_of_ripple(None)
     assert "mounted once more" in said
     assert "rig " not in said
+
+
+@pytest.mark.parametrize(("harmonics", "lines"), [(1, 0), (7, 3), (40, 11), (0, 2)])
+def test_products_of_harmonics_follow_from_their_sums(harmonics: int, lines: int) -> None:
+    t = np.sort(np.random.default_rng(harmonics).uniform(0.0, 2.0, 1500))  # no even spacing is needed
+    rows = sweep_lines._rows(t, harmonics, 7.3, 50.0 + 60.0 * np.arange(lines))
+    assert sweep_lines._gram(rows, harmonics) == pytest.approx(rows @ rows.T, abs=1e-9 * len(t))

@@ -31,6 +31,14 @@ def found() -> Fit:
     return evidence_of([fast_bench.measure(TURNS, fast_bench.world(11, []))]).fitted()
 
 
+def test_a_fit_has_columns_of_all_rows_that_count_and_the_others_leave_nothing(found: Fit) -> None:
+    counted = np.concatenate([part.counted for part in found.parts])
+    assert np.count_nonzero(~counted) > 0
+    assert not found.left[~counted].any()
+    rows = np.concatenate([block.rows for block in found.blocks])
+    assert np.array_equal(np.sort(rows), np.flatnonzero(counted))
+
+
 def plain(part: Platter, raw: Array) -> Array:
     """Whitened rows, (c, width): one channel and one stretch at a time."""
     data, rows = part.data, []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import pkgutil
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from rig import effects
-from rig.model import Channels, Effect, Local, Motion, Periods, Quantity, Stretches, Term, volts
+from rig.model import Channels, Effect, Local, Memory, Motion, Periods, Quantity, Stretches, Term, volts
 
 NAMES = sorted(module.name for module in pkgutil.iter_modules(effects.__path__))
 WHOLE_SHELF = 45  # from so many files on, every name that an effect mentions has its file
@@ -166,6 +167,23 @@ def test_at_nothing_an_effect_changes_no_volts(name: str, place: str, on: Quanti
     before = np.roll(without, 1, axis=0)
     found = volts(motion, channels, local, [Term(effect, on, nothing(effect))], before)
     np.testing.assert_allclose(found, without, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_signals_that_are_remembered_are_those_that_would_be_made(name: str) -> None:
+    """One memory for models that differ in one thing after the other; what it keeps may depend on nothing else."""
+    effect, (channels, local) = effect_of(name), recorder()
+    at = effect.from_physical(admissible(effect, 1))
+    other = replace(local, pole=0.5 * local.pole), replace(local, sensitivity=2.0 * local.sensitivity)
+    for place, on in itertools.product(effect.places, effect.quantities or (None,)):
+        motion, memory = MOTIONS[place](), Memory()
+        one = channels.names[channels.of(on)[0]]
+        made = [Term(effect, on, at), Term(effect, on, nothing(effect)), Term(effect, on, at, only=(one,))]
+        for terms in ([], *([term] for term in made), made[:1]):
+            for here in (local, *other):
+                fresh = volts(motion, channels, here, terms, np.zeros_like(volts(motion, channels, here, [])))
+                kept = volts(motion, channels, here, terms, np.zeros_like(fresh), memory)
+                np.testing.assert_array_equal(kept, fresh)
 
 
 @pytest.mark.parametrize("name", NAMES)

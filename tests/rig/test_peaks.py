@@ -9,14 +9,17 @@ import fast_bench
 import imported_worlds as worlds
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from imported_worlds import response, response_table
+from scipy.signal import find_peaks
 
 from rig.diagnose.diagnose import diagnose
 from rig.fit.evidence import evidence_of
 from rig.repair import repair
 from rig.repair.repair import Bench
 from rig.shelf import shelf
-from rig.signals.peaks import peaks
+from rig.signals.peaks import peaks, prominences
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 9}
 SHARP = {"name": "resonance", "parameters": {"frequency": 120.0, "damping": 0.02}}
@@ -30,6 +33,15 @@ def test_peaks_are_where_a_response_stands_out_and_half_way_to_the_points_beside
     assert np.abs(np.log(found / 120.0)).min() < 0.5 * math.log(frequency[1] / frequency[0])
     assert not len(peaks(frequency, np.linspace(1.0, 3.0, 25)))
     assert not len(peaks(frequency, 1.0 + 0.02 * np.cos(np.arange(25.0))))
+
+
+@given(st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=40, unique=True))
+def test_how_far_a_peak_stands_out_is_as_scipy_has_it(heights: list[float]) -> None:
+    height = np.array(heights)
+    at, known = find_peaks(height, prominence=0.0)
+    expected = np.zeros(len(height))
+    expected[at] = known["prominences"]
+    assert np.array_equal(prominences(height), expected)
 
 
 def test_a_sharp_resonance_within_the_band_is_found() -> None:

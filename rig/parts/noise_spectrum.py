@@ -32,7 +32,9 @@ from rig.signals.rest_spectrum import Bands
 from rig.signals.sheet_noise import GRID, OPEN, Levels, Scatter, mean_density, with_added
 
 SEEN = 25.0  # χ² that tells noise of another kind
-FAINT, HALVINGS = 1e-6, 20  # of a first start: where what is seen is looked for, and in how many steps
+NEAR, STEPS = 0.01, 12  # how near to it in its logarithm, and in how many steps at most
+POWER_LAW = 2.0  # χ² of weak noise goes with the square of its power
+TINY = 1e-300
 LONG = 600.0  # s at rest, beyond which no more is asked for
 REMEMBERED = 64  # predictions of other models
 SIDES = (1.0, 50.0)  # Hz, between the kinds of row
@@ -260,14 +262,20 @@ class NoiseSpectrum(Part):
 
     def _seen_from(self, term: Term) -> Term:
         """The term as strong as just removes what chance hardly does."""
-        c = self.channels
-        local, name = Local(c.sensitivity, c.pole, self.zeros), term.effect.coordinates[0].name
-        low, high = math.log(FAINT), -math.log(FAINT)
-        for _ in range(HALVINGS):
-            middle = term.moved(**{name: term.at[name] * math.exp(0.5 * (low + high))})
-            change = self.raw(local, [middle]) - self.raw(local, [])
-            low, high = (low, 0.5 * (low + high)) if np.sum(change**2) > SEEN else (0.5 * (low + high), high)
-        return term.moved(**{name: term.at[name] * math.exp(high)})
+        c, name = self.channels, term.effect.coordinates[0].name
+        local = Local(c.sensitivity, c.pole, self.zeros)
+        nothing, size, slope = self.raw(local, []), math.log(term.at[name]), POWER_LAW
+        seen: list[tuple[float, float]] = []
+        for _ in range(STEPS):
+            there = term.moved(**{name: math.exp(size)})
+            seen.append((size, math.log(max(np.sum((self.raw(local, [there]) - nothing) ** 2), TINY) / SEEN)))
+            if abs(seen[-1][1]) < NEAR:
+                break
+            if len(seen) > 1:
+                (before, under), (now, over) = seen[-2:]
+                slope = min(max((over - under) / (now - before), 0.5 * POWER_LAW), 2.0 * POWER_LAW)
+            size -= seen[-1][1] / slope
+        return term.moved(**{name: math.exp(size)})
 
     @classmethod
     def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:

@@ -15,7 +15,7 @@ from rig.diagnose.misfit import compare
 from rig.fit import adequacy
 from rig.fit.evidence import Evidence, evidence_of
 from rig.model import Local, Term
-from rig.parts.noise_spectrum import NoiseSpectrum
+from rig.parts.noise_spectrum import SEEN, NoiseSpectrum
 from rig.parts.reading.noise_spectrum import read as rested_parts
 from rig.repair.model_file import Model
 from rig.repair.repair import Bench, added, fitted
@@ -123,6 +123,22 @@ def test_a_comparison_says_in_words_how_loud_it_is(evidences: dict[str, Evidence
     assert groups["shaker, noise of gyros"].noise_from == ("averages",)
     # four rows that are mostly small, and the allowance for the shape of a density
     assert groups["shaker, noise of gyros"].ratio == pytest.approx(0.9, abs=0.2)
+
+
+@pytest.mark.parametrize("name", ["white", "flicker", "random_walk"])
+def test_what_would_just_be_seen_moves_the_bands_by_as_much_as_chance_hardly_does(
+    name: str, evidences: dict[str, Evidence]
+) -> None:
+    part, effect = part_of(evidences["clean"]), effect_of(name)
+    said = {line.split(":")[0]: float(line.split("less than ")[1].split()[0]) for line in part.faintest(effect)}
+    assert list(said) == [f"{name} (acceleration)", f"{name} (rate)"]
+    for on in effect.quantities:
+        start = effect.starts(part.reference, on)[0]
+        first, own = effect.parameters[0].name, effect.coordinates[0].name
+        power = (said[f"{name} ({on})"] / effect.physical(start)[first]) ** 2
+        local = Local(part.channels.sensitivity, part.channels.pole, part.zeros)
+        there = Term(effect, on, {**start, own: power * start[own]})
+        assert np.sum((part.raw(local, [there]) - part.raw(local, [])) ** 2) == pytest.approx(SEEN, rel=0.25)
 
 
 def test_nothing_is_learned_of_sensitivity_and_pole_from_the_noise_of_the_sheet(evidences: dict[str, Evidence]) -> None:

@@ -22,6 +22,7 @@ from rig.record import Channel, ClockFit, CubeSamples, Response, Samples, Timing
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
 OF_A_STEP = ("step", "point", "repeated", "prepared")  # lines that name a step by its index
+IMPORT = "import"  # the procedure of runs that somebody else measured
 PIECE = 1 << 17  # scans handed out at once: 4 MB of sixteen channels
 
 
@@ -61,6 +62,11 @@ class Recorded(Protocol):
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
         ...
+
+
+def is_imported(records: Recorded) -> bool:
+    """Whether somebody else measured a run."""
+    return bool(records.header.get("procedure") == IMPORT)
 
 
 @dataclass(frozen=True)

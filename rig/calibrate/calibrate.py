@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from rig.archive.records import Recorded
+from rig.archive.records import Recorded, is_imported
 from rig.calibrate import imported, paper_method, resting, tumble_runs
 from rig.calibrate.analyzer_route import SecondRoute, second_route
 from rig.calibrate.basis import Basis, basis_of
@@ -27,7 +27,6 @@ from rig.calibrate.turntable_runs import TurntableRuns
 from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
-from rig.foreign.tables import is_foreign
 from rig.parts.reading import by_cube
 from rig.parts.reading import runs as reading
 from rig.parts.reading.runs import Reader, same_unit
@@ -53,7 +52,7 @@ def calibrate(
     Raises BadInput for runs of different units, a sweep of the wrong axis or without its reference, and for runs that
     determine nothing; StandardOverdue for a standard used past its date without an order.
     """
-    foreign, own = [[run for run in runs if is_foreign(run) == kind] for kind in (True, False)]
+    foreign, own = [[run for run in runs if is_imported(run) == kind] for kind in (True, False)]
     if foreign and own:
         return _of_both(own, foreign, name, digests, assumed, recorder)
     if foreign:

@@ -90,24 +90,23 @@ def _print_ending(done: Outcome, figure: list[Path]) -> None:
 
 def run_as_text(run: Run) -> str:
     """A run for a reader: what it is, how far it came, its table."""
-    from rig.archive.records import Records
-    from rig.foreign.tables import is_foreign
+    from rig.archive.records import Records, is_imported
 
     records = Records(run)
-    if is_foreign(records):
+    if is_imported(records):
         return "\n".join(_imported_lines(records))
     return "\n".join(_run_lines(records, *concluded(records)))
 
 
 def findings_as_json(run: Run) -> dict[str, Any]:
     """What was found on import; nothing of a run that was measured here, or is damaged."""
-    from rig.archive.records import Records
+    from rig.archive.records import Records, is_imported
     from rig.errors import RigError
-    from rig.foreign.tables import foreign_of, is_foreign
+    from rig.foreign.tables import foreign_of
 
     try:
         records = Records(run)
-        return {"findings": [one.as_json() for one in foreign_of(records).found]} if is_foreign(records) else {}
+        return {"findings": [one.as_json() for one in foreign_of(records).found]} if is_imported(records) else {}
     except RigError:
         return {}
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.archive.records import IMPORT
 from rig.archive.runs import Runs
 from rig.errors import BadInput, ConfigError, Problem
 from rig.foreign import readers as foreign_files
@@ -23,7 +24,7 @@ from rig.foreign.checks import findings
 from rig.foreign.finding import Finding
 from rig.foreign.manifest import KINDS, Manifest, Reading, Source, as_json
 from rig.foreign.manifest_file import load
-from rig.foreign.tables import PROCEDURE, Array, Foreign, Table, lines_of, without_missing
+from rig.foreign.tables import Array, Foreign, Table, lines_of, without_missing
 from rig.yaml import config, document
 from rig.yaml.document import Document, KeyPath
 
@@ -172,7 +173,7 @@ def _odd(files: Sequence[File]) -> Iterator[Finding]:
 
 def keep(read: Read, runs: Runs) -> str:
     """Make the run: a block and a point for every file, what was found, and the seal. Returns its name."""
-    with runs.create(PROCEDURE, _header(read, runs), label=read.manifest.label) as writer:
+    with runs.create(IMPORT, _header(read, runs), label=read.manifest.label) as writer:
         for one in read.found:
             writer.note("finding", found=one.as_json())
         for index, file in enumerate(read.files):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded
+from rig.archive.records import Recorded, is_imported
 from rig.errors import BadInput
 from rig.foreign.finding import Finding, from_json
 from rig.foreign.manifest import Column, Manifest
@@ -24,7 +24,6 @@ from rig.yaml import document
 from rig.yaml.document import Document
 
 Array = NDArray[np.float64]
-PROCEDURE = "import"
 CONDITIONS = {
     "temperature": "temperature",
     "supply": "voltage",
@@ -136,14 +135,9 @@ def without_missing(made: Manifest, table: Table) -> Table:
     return replace(table, values=values)
 
 
-def is_foreign(records: Recorded) -> bool:
-    """Whether a run was imported."""
-    return records.header.get("procedure") == PROCEDURE
-
-
 def foreign_of(records: Recorded) -> Foreign:
     """The imported data of a run. Raises BadInput for a run that was not imported."""
-    if not is_foreign(records):
+    if not is_imported(records):
         raise BadInput(f"{records.name}: found no imported data, wanted a run that was imported")
     made = manifest_of(records.header["imported"])
     tables = tuple(without_missing(made, _table(records, body)) for _, body in sorted(records.points.items()))

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, experiments, reference, wires_of
-from rig.foreign.tables import is_foreign
+from rig.archive.records import Recorded, experiments, is_imported, reference, wires_of
 from rig.model import Channels
 from rig.motion import ORDERS, Array, Complexes
 from rig.parts.channels import channels_of
@@ -52,7 +51,7 @@ ENOUGH = 64  # samples without a gap, of which a spectrum says something
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every sweep and turntable run of the rig's own of which the cube kept records."""
-    own = [one for run in runs if not is_foreign(run) for one in experiments(run)]
+    own = [one for run in runs if not is_imported(run) for one in experiments(run)]
     swept = [(one, made) for n, one in enumerate(own) if (made := _swept(one, f"{one.name}#cube {n}")) is not None]
     parts = [Sweep(made) for _, made in swept]
     known = [*nuisances.of_shaker([one for one, _ in swept])] if swept else []

@@ -10,12 +10,12 @@ from typing import cast
 
 import numpy as np
 
-from rig.archive.records import Recorded
+from rig.archive.records import Recorded, is_imported
 from rig.errors import BadInput
 from rig.foreign import faults, straying
 from rig.foreign.finding import MISREAD
 from rig.foreign.manifest import Manifest
-from rig.foreign.tables import Foreign, foreign_of, is_foreign
+from rig.foreign.tables import Foreign, foreign_of
 from rig.model import Term
 from rig.parts.part import Part
 from rig.parts.reading import kinds
@@ -28,7 +28,7 @@ DOUBTFUL = ("unit", "turns", *MISREAD)  # findings on import with which no model
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """The imported ones among these runs."""
-    found = Reading.joined(reading_of(foreign_of(run)) for run in runs if is_foreign(run))
+    found = Reading.joined(reading_of(foreign_of(run)) for run in runs if is_imported(run))
     return replace(found, known=tuple(shared(found.known)))
 
 

@@ -17,7 +17,7 @@ from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
 from rig.parts.conditions import smoothed
-from rig.parts.reading.poses import signed
+from rig.parts.reading.intervals import signed
 from rig.parts.reading.track_noise import device_noise
 from rig.parts.reference_motion import Shown
 from rig.parts.track import TrackRecords, spun_force, spun_up

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from rig import units
-from rig.archive.records import Recorded, experiments, signals, statics
+from rig.archive.records import Recorded, experiments, is_imported, signals, statics
 from rig.archive.reduced import reduced
-from rig.foreign.tables import is_foreign
 from rig.model import BOTH, Channels
 from rig.motion import Array
 from rig.parts.channels import channels_of
@@ -33,7 +32,7 @@ HELD, EVERY = 1, 3  # the second of every three is held out
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """All records at rest of the rig's own runs, those of one experiment together."""
-    own = [run for run in runs if not is_foreign(run)]
+    own = [run for run in runs if not is_imported(run)]
     return Reading(tuple(NoiseSpectrum(data) for run in own for data in rested(run)))
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from rig.archive.records import Recorded
-from rig.foreign.tables import is_foreign
+from rig.archive.records import Recorded, is_imported
 
 BREAK = 3600.0  # s without a record
 
@@ -31,5 +30,5 @@ def _started(runs: Sequence[Recorded]) -> Iterator[tuple[str, list[float]]]:
     for run in runs:
         metas = [entry.body["meta"] for entry in run.lines if entry.kind == "block"]
         starts = [float(meta["start"]) for meta in metas if "convert_period" in meta]
-        if starts and not is_foreign(run):
+        if starts and not is_imported(run):
             yield run.name, starts

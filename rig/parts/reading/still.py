@@ -10,12 +10,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rig.archive.records import Recorded, experiments, reference, signals
-from rig.foreign.tables import is_foreign
+from rig.archive.records import Recorded, experiments, is_imported, reference, signals
 from rig.parts.channels import channels_of
 from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import Poses
-from rig.parts.reading.poses import Interval, held_out
+from rig.parts.reading.intervals import Interval, held_out
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.tumble import HELD, whole_of, windows
 
@@ -29,7 +28,7 @@ LEFT_OUT = (
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every long record at rest of the rig's own runs."""
-    own = [one for run in runs if not is_foreign(run) for one in experiments(run)]
+    own = [one for run in runs if not is_imported(run) for one in experiments(run)]
     return Reading(tuple(Poses(data) for one in own for data in rested(one)))
 
 

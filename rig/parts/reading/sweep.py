@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.records import Recorded, Signals, experiments, reference, signals, statics, wires_of
+from rig.archive.records import Recorded, Signals, experiments, is_imported, reference, signals, statics, wires_of
 from rig.archive.reduced import reduced
-from rig.foreign.tables import is_foreign
 from rig.model import Channels
 from rig.motion import ORDERS
 from rig.parts.channels import channels_of
@@ -58,7 +57,7 @@ class _Record:
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every sweep of the rig's own runs."""
-    own = [run for run in runs if not is_foreign(run)]
+    own = [run for run in runs if not is_imported(run)]
     since = begun(runs)
     parts = [(run, Sweep(replace(data, since=since.get(run.name)))) for run in own for data in shaken(run)]
     for run, part in parts:

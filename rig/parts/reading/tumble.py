@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from rig.archive.records import Recorded, Signals, experiments, poses_of, reference, signals
-from rig.foreign.tables import is_foreign
+from rig.archive.records import Recorded, Signals, experiments, is_imported, poses_of, reference, signals
 from rig.model import Channels
 from rig.motion import Array
 from rig.parts.channels import channels_of
 from rig.parts.part import Part
 from rig.parts.pose_records import PoseRecords
 from rig.parts.poses import Poses
-from rig.parts.reading.poses import Interval, Whole, held_out
+from rig.parts.reading.intervals import Interval, Whole, held_out
 from rig.parts.reading.reading import Reading
 from rig.parts.reading.sessions import begun
 from rig.parts.remainder import Indices
@@ -35,7 +34,7 @@ def read(runs: Sequence[Recorded]) -> Reading:
     """Every tumble of the rig's own runs."""
     parts: list[Part] = []
     since = begun(runs)
-    for run in (one for one in runs if not is_foreign(one)):
+    for run in (one for one in runs if not is_imported(one)):
         for number, one in enumerate(one for one in experiments(run) if poses_of(one)):
             parts += [Poses(replace(data, since=since.get(run.name))) for data in tumbled(one, number)]
     return Reading(tuple(parts))

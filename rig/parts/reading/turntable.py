@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.archive.records import Recorded, experiments, mounts, reference, wires_of
+from rig.archive.records import Recorded, experiments, is_imported, mounts, reference, wires_of
 from rig.archive.reduced import reduced
 from rig.errors import BadInput
-from rig.foreign.tables import is_foreign
 from rig.model import Channels
 from rig.parts.channels import channels_of
 from rig.parts.conditions import smoothed
@@ -70,7 +69,7 @@ class _Record:
 
 def read(runs: Sequence[Recorded]) -> Reading:
     """Every turntable run of the rig's own."""
-    own = [run for run in runs if not is_foreign(run)]
+    own = [run for run in runs if not is_imported(run)]
     since = begun(runs)
     parts = [(run, Platter(replace(data, since=since.get(run.name)))) for run in own for data in spun(run)]
     for run, part in parts:

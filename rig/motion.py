@@ -179,7 +179,8 @@ class Motion:
     or (n,).
 
     `force` specific force m/s², `rate` rad/s, `turning` angular acceleration rad/s², all (3, *G). `up` unit vector,
-    (3, R). `gravity` m/s². Conditions, all R: `temperature` °C, `supply` V, `elapsed` s since the first record began.
+    (3, R). `gravity` m/s². Conditions, all R: `temperature` °C, `supply` V, `elapsed` s since the first record of its
+    session.
 
     On the shaker: `along` complex acceleration of the drive's harmonics, m/s², (p, 6); `drive` and `side` unit vectors
     (3, p); `source` open-circuit drive, V peak, and `scale` of the vibrometer, (m/s)/V, both (p,). On the turntable:

@@ -428,6 +428,10 @@ class MemoryRecords:
         """Imported rows behind a block's name and their columns. KeyError if there are none, as on this bench."""
         return self.block(name), tuple(self.metas[name]["columns"])
 
+    def earlier(self) -> Iterator[MemoryRecords]:
+        """There is no archive."""
+        return iter(())
+
     def close(self) -> None:
         """Drop the arrays; header, lines and points stay."""
         self.arrays.clear()

@@ -6,7 +6,9 @@ that an hour needs no more memory than a minute.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -17,7 +19,8 @@ from numpy.typing import NDArray
 from rig import units
 from rig.archive.journal import Entry
 from rig.archive.reader import Run, blocks_of, points_of
-from rig.errors import BadInput, StandardOverdue
+from rig.archive.runs import Runs
+from rig.errors import ArchiveError, BadInput, StandardOverdue
 from rig.record import Channel, ClockFit, CubeSamples, Response, Samples, Timing, Wires
 
 OF_THE_RUN = ("header", "settings", "resumed")  # lines of the journal that hold for every step
@@ -61,6 +64,10 @@ class Recorded(Protocol):
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
+        ...
+
+    def earlier(self) -> Iterator[Recorded]:
+        """The bench's own runs of the same archive that began before it, latest first."""
         ...
 
 
@@ -120,6 +127,14 @@ class Records:
                 yield _samples(stretch, part.meta, scan)
                 scan += len(stretch)
 
+    def earlier(self) -> Iterator[Recorded]:
+        """The bench's own runs of the same folder that began before it, latest first; damaged ones are left out."""
+        others = [(_started(run), run) for run in Runs(self.run.path.parent).list() if run.path != self.run.path]
+        for when, run in sorted(others, key=lambda one: -one[0]):
+            if when < _started(self.run):
+                with contextlib.suppress(ArchiveError):
+                    yield Records(run)
+
     def traces(self, name: str) -> Signals:
         """Simultaneous traces of the oscilloscope."""
         meta = self._blocks[name][0].meta
@@ -142,6 +157,14 @@ class Records:
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""
         return cube_of(self._block(name), self._block(f"{name}-frames"), self._blocks[name][0].meta)
+
+
+def _started(run: Run) -> float:
+    """When a run of the bench began, s on its clock; never, if it is damaged or somebody else's."""
+    try:
+        return math.inf if run.header.get("procedure") == IMPORT else float(run.header["started"])
+    except ArchiveError:
+        return math.inf
 
 
 def response_of(columns: NDArray[np.float64], meta: Mapping[str, Any]) -> Response:
@@ -245,6 +268,9 @@ class Experiment:
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         return self.run.table(name)
+
+    def earlier(self) -> Iterator[Recorded]:
+        return self.run.earlier()
 
 
 def experiments(records: Recorded) -> list[Recorded]:

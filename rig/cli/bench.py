@@ -193,7 +193,8 @@ def reveal(bench: Path | None, model: Path | None, effects: Path | None, runs: P
     """Tell what the simulated world hides, with its strength d′, and beside it what a model has found of it.
 
     Both are SI in the same convention: amplitudes from zero to peak, densities one-sided, and what counts from the
-    beginning of a run (a warm-up) from that of the model's runs. Found values have their expanded uncertainty (k = 2).
+    beginning of a session (a warm-up) from that of the model's runs. Found values have their expanded uncertainty
+    (k = 2).
 
     \f
     `--json` gives `{"effects": []}`, of each effect `name`, `stage`, `quantity` (of the channels it acts on, or

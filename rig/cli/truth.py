@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from rig.model import Effect
     from rig.repair.model_file import Entry, Model
 
-PLACES = {"frequency_sweep": "shaker", "turntable": "turntable"}  # where a procedure shows things
-
 
 def model_of(description: BenchDescription, runs: Path, given: Path | None) -> Model | None:
     """The model that is held against the truth: the one named, else that of the bench's unit, if there is one."""
@@ -22,19 +20,13 @@ def model_of(description: BenchDescription, runs: Path, given: Path | None) -> M
     return load(path) if given is not None or path.exists() else None
 
 
-def begun(model: Model | None, runs: Path) -> dict[str, float]:
-    """Bench clock of the first record at each place among the runs of a model, as far as they are still there."""
+def begun(model: Model | None, runs: Path) -> float | None:
+    """Bench clock at the beginning of the first session among the runs of a model, as far as they are still there."""
     from rig.notebook import records_of
+    from rig.parts.reading import sessions
 
     names = [name for name in (model.runs if model is not None else ()) if (runs / name).is_dir()]
-    found: dict[str, float] = {}
-    for records in records_of(names, runs) if names else ():
-        place = PLACES.get(str(records.header.get("procedure")))
-        metas = [entry.body["meta"] for entry in records.lines if entry.kind == "block"]
-        starts = [float(meta["start"]) for meta in metas if "convert_period" in meta]
-        if place and starts:
-            found[place] = min([*starts, found.get(place, starts[0])])
-    return found
+    return min(sessions.begun(records_of(names, runs)).values(), default=None) if names else None
 
 
 def beside(effects: Sequence[Mapping[str, Any]], model: Model | None, shelf: Mapping[str, Effect]) -> list[Any]:

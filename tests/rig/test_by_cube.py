@@ -19,7 +19,7 @@ from rig.fit.fit import begin, fit
 from rig.parts.reading import by_cube
 from rig.parts.sweep import Sweep
 
-SEEDS = range(41, 43)
+SEEDS = range(41, 45)
 RUNS = (
     {"procedure": "frequency_sweep", "axis": "x", "points": 10},
     {"procedure": "turntable", "axis": "yaw", "revolutions": 8, "rest": "10 s"},

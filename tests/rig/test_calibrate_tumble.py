@@ -14,7 +14,7 @@ from rig.calibrate import triad
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, Check, Result
 
-SEEDS = range(1, 6)
+SEEDS = range(1, 9)
 NOISE = {"procedure": "noise", "length": "60 s", "cables": "shaker"}
 TILTED = {"name": "cross_axis", "parameters": {"quantity": "acceleration", "share": 0.05}}
 

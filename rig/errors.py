@@ -11,6 +11,8 @@
         ├── OperatorRefused               the operator said no, or could not
         ├── ArchiveError                  a record could not be kept or does not verify
         ├── BenchUnreachable              the bench or one of its services does not answer
+        ├── BenchHeld                     another program has the bench
+        ├── NotSafe                       what was energised was not read back as off
         └── InstrumentError               one instrument, with both halves of the exchange
             ├── NoAnswer                  nothing, or too late
             ├── BadReply                  something that is not an answer
@@ -101,6 +103,14 @@ class ArchiveError(WorkFailed):
 
 class BenchUnreachable(WorkFailed):
     """The bench or one of its services does not answer."""
+
+
+class BenchHeld(WorkFailed):
+    """Another program has the bench; nothing was sent to it."""
+
+
+class NotSafe(WorkFailed):
+    """Something that was energised on the bench was not read back as off."""
 
 
 class InstrumentError(WorkFailed):

@@ -35,6 +35,9 @@ RPM = 2.0 * math.pi / 60.0
 SECTORS = 8
 """Parts of a revolution whose rates show wow up to about 6 Hz at 45 rpm; each still averages 125 lines."""
 
+STANDING = 1.0
+"""s without a line edge before a platter is called standing, whatever its limit of rest."""
+
 MISSED_AT_MOST = 3
 """Revolutions without an index that are still told from a wrong count."""
 
@@ -135,12 +138,12 @@ def _sector_rate(edges: NDArray[np.float64]) -> float:
 
 
 def stopped(edges: NDArray[np.float64], now: float, *, rate: float = math.radians(0.2)) -> bool:
-    """Whether the platter turns slower than `rate` (rad/s): no line edge for as long as one line takes then.
+    """Whether the platter turns slower than `rate` (rad/s): no line edge for as long as one line takes then, and 1 s.
 
     Without any edge the time line must already be that long: `now` counts from its beginning.
     """
     last = float(edges[-1]) if len(edges) else 0.0
-    return now - last > 2.0 * math.pi / LINES / rate
+    return now - last > max(2.0 * math.pi / LINES / rate, STANDING)
 
 
 @dataclass(frozen=True)

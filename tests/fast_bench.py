@@ -364,10 +364,16 @@ class CubeLine:
 class NoGuard:
     """There is no other process that could have to switch anything off."""
 
-    def arm(self, charges: object, within: float, log: Path) -> None:
+    def arm(self, charges: object, within: float, log: Path, armed: object) -> None:
         """Nothing to arm."""
 
     def beat(self, within: float) -> None:
+        """Nobody listens."""
+
+    def expect(self, within: float = 0.0) -> None:
+        """Nobody listens."""
+
+    def leave(self) -> None:
         """Nobody listens."""
 
     def disarm(self) -> None:

@@ -59,6 +59,7 @@ def test_a_killed_sweep_loses_nothing_ends_at_rest_and_goes_on(
     assert off[0]["wall"] - sent < BAR
     assert program.returncode == (130 if number != signal.SIGKILL else -signal.SIGKILL)
     assert "Traceback" not in said
+    assert number == signal.SIGKILL or "interrupted; analyzer: off, read back\n" in said
     assert points(runs) >= before
     run = Runs(runs).list()[0]
     assert run.status == "interrupted"

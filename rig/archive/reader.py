@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rig.archive import journal
 from rig.archive.durable import keeping, lock_is_held
+from rig.archive.guard_log import GUARD_LOG, GuardLog
 from rig.archive.journal import BlockRef, BrokenLineError, Entry
 from rig.archive.writer import JOURNAL, LOCK, SEAL
 from rig.errors import ArchiveError, BadInput
@@ -133,7 +134,13 @@ class Run:
             "points_total": header.get("points_total"),
             "simulated": header.get("simulated"),
             "path": str(self.path),
+            "not_safe": self.not_safe if status != "running" else None,
         }
+
+    @property
+    def not_safe(self) -> str | None:
+        """What this run has left energised as far as is known, by the log of its guard; None if nothing."""
+        return GuardLog(self.path / GUARD_LOG).not_safe()
 
     def verify(self) -> list[str]:
         """Everything that is closed but not as it was written, as `file: found …, wanted …`; empty if all is sound."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,13 +14,16 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import BaseModel, Discriminator, create_model
 
+from rig.bench.armed import Armed, left_armed
 from rig.bench.benchfile import BenchDescription, BenchFile, Role, filled
 from rig.bench.clock import SystemClock
 from rig.bench.control import BenchClock, BenchOperator, Control, ensure_served
-from rig.bench.guard import Charge, load_driver
+from rig.bench.guard import PATIENCE, Charge, load_driver
 from rig.bench.operators import AnswersOperator, TerminalOperator
+from rig.bench.possession import Possession, possessed
 from rig.bench.roles import Energises, Instrument
-from rig.errors import BadInput, ConfigError, Problem
+from rig.bench.watched import MARGIN, Heartbeat, watched
+from rig.errors import BadInput, ConfigError, NotSafe, Problem
 from rig.room import NoTranscript, Room, Transcript
 from rig.yaml import config
 from rig.yaml.document import Document, read
@@ -45,6 +48,15 @@ class Bench:
     control: Control | None
     instruments: dict[str, Instrument] = field(default_factory=dict)
     charges: list[Charge] = field(default_factory=list)
+    possession: Possession | None = None
+    simulated_in: str = ""  # the folder of runs that a simulated bench belongs to
+
+    def armed(self, log: Path) -> Armed | None:
+        """What is going to be armed, for the guard that writes into `log`; None on a bench that needs no lock."""
+        if self.possession is None:
+            return None
+        names = [charge.name for charge in self.charges]
+        return Armed.of(self.possession, names, log, self.simulated_in)
 
 
 def fittings(description: BenchDescription) -> dict[str, Fitting]:
@@ -102,6 +114,24 @@ def file_model() -> type[BenchFile]:
 
 
 @contextmanager
+def occupied(description: BenchDescription, runs: Path, *, passing: bool = False) -> Iterator[Possession]:
+    """The bench to oneself, before the first byte; see `rig.bench.possession.possessed`.
+
+    Raises BenchHeld if somebody has it, NotSafe if it was left armed, unless `passing` is there to make it safe.
+    """
+    if description.simulated:  # its addresses change with every start; its folder is what it is known by
+        addresses = [str(state_folder(description, runs).resolve())]
+    else:
+        places = (_place(fitting.settings) for fitting in fittings(description).values())
+        addresses = [one for one in places if one is not None] or [str(description.path.resolve())]
+    with possessed(description.file.bench, addresses, passing=passing) as possession:
+        left = left_armed(possession.armed)
+        if left is not None and not passing:
+            raise NotSafe(f"{left}; wanted it read back as off, `rig bench safe` does it")
+        yield possession
+
+
+@contextmanager
 def connected(
     description: BenchDescription,
     runs: Path,
@@ -109,30 +139,58 @@ def connected(
     *,
     transcript: Transcript | None = None,
     hidden_seed: int | None = None,
+    possession: Possession | None = None,
+    guard: Heartbeat | None = None,
 ) -> Iterator[Bench]:
     """The bench with the instruments whose role is wanted; nothing on them is changed. Closed on leaving.
 
-    A simulated bench is started on demand and keeps its world in `.bench/` under the runs folder.
+    A simulated bench is started on demand and keeps its world in `.bench/` under the runs folder. Whoever has the bench
+    already (see `occupied`) hands the `possession` in; else it is had for as long. What is said and waited for is a
+    sign of life for the `guard`.
     """
     wanted = {role: fitting for role, fitting in fittings(description).items() if roles(role)}
     with ExitStack() as stack:
+        if possession is None:
+            possession = stack.enter_context(occupied(description, runs))
         addresses: Mapping[str, object] = {}
         control = None
         if description.simulated:
             addresses = start_simulated(description, runs, hidden_seed)
             control = stack.enter_context(Control(int(str(addresses["control"]))))
         room = _room(description, control, transcript or NoTranscript())
-        bench = Bench(description, room, control)
+        if guard is not None:
+            room = watched(room, guard, _patience(wanted.values()))
+        bench = Bench(description, room, control, possession=possession)
+        bench.simulated_in = str(runs.resolve()) if description.simulated else ""
         for role, fitting in wanted.items():
-            settings = fitting.module.Settings.model_validate(
-                filled(fitting.settings.model_dump(mode="json", exclude={"driver"}), addresses)
-            )
-            instrument = fitting.module.connect(role, settings, room)
+            instrument, charge = _connection(fitting, addresses, room)
             stack.callback(instrument.close)
             bench.instruments[role] = instrument
             if isinstance(instrument, Energises):
-                bench.charges.append(Charge(fitting.driver, role, settings.model_dump(mode="json")))
+                bench.charges.append(charge)
         yield bench
+
+
+def _connection(fitting: Fitting, addresses: Mapping[str, object], room: Room) -> tuple[Instrument, Charge]:
+    """An instrument connected, and what the guard would need to connect to it."""
+    stated = fitting.settings.model_dump(mode="json", exclude={"driver"})
+    settings = fitting.module.Settings.model_validate(filled(stated, addresses))
+    instrument: Instrument = fitting.module.connect(fitting.role, settings, room)
+    return instrument, Charge(fitting.driver, fitting.role, settings.model_dump(mode="json"))
+
+
+def _place(settings: Any) -> str | None:
+    """Through what bytes reach an instrument; None for one that has no line of its own."""
+    for key in ("gateway", "address", "device"):
+        if isinstance(found := getattr(settings, key, None), str):
+            return found
+    return None
+
+
+def _patience(wanted: Iterable[Fitting]) -> float:
+    """How long a live program may be silent, s of real time: the longest that one of its links waits for an answer."""
+    waits = [getattr(one.settings, "timeout", 0.0) for one in wanted if _place(one.settings)]
+    return max(PATIENCE, MARGIN + max(waits, default=0.0))
 
 
 def start_simulated(description: BenchDescription, runs: Path, hidden_seed: int | None = None) -> Mapping[str, object]:

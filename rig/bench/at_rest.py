@@ -79,7 +79,7 @@ class _Taken:
         self.scans, self.start = 0, 0.0
 
     def add(self, samples: Samples) -> None:
-        with self._station.watch("storage"):
+        with self._station.storing():
             if self._stream is None:
                 self._stream = self._station.journal.block_stream(self._name, samples_meta(samples))
                 self.start = samples.start
@@ -92,7 +92,7 @@ class _Taken:
     def keep(self) -> None:
         """Close what was taken, so that it survives whatever comes next."""
         if self._stream is not None:
-            with self._station.watch("storage"):
+            with self._station.storing():
                 self._stream.close()
 
     def said(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench.cube_record import joined
-from rig.bench.station import Station
+from rig.bench.station import A_PERSON, Station
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
 from rig.errors import BadInput, SettingRefused, SignalLow, SignalOverload, VerdictNotMet
 from rig.record import CubeSamples, Response, Samples, Traces
@@ -243,7 +243,7 @@ def _stored(step: Sine, station: Station, captured: Captured) -> dict[str, Any]:
         body["clipped"] = {c.name: n for c in samples.channels if (n := samples.clipped(c.name))}
     if captured.cube is not None:
         body |= station.store_cube(name, captured.cube)
-    with station.watch("storage"):
+    with station.storing():
         if response is not None:
             block = station.journal.block(f"{name}-response", _columns(response), response_meta(response))
             body["response"] = block.name
@@ -303,7 +303,7 @@ def align(step: AlignBeam, station: Station) -> dict[str, Any]:
 
 def set_filter(step: SetFilter, station: Station) -> dict[str, Any]:
     """The operator sets the filter, and its response at three frequencies says what it really is."""
-    station.guard.beat(within=3600.0)  # a person turns the knobs; nothing is energised yet
+    station.guard.expect(A_PERSON)  # a person turns the knobs; nothing is energised yet
     confirmation = station.filter.configure(
         mode=step.mode, cutoff=step.cutoff, response=step.response, gain_db=step.gain_db
     )

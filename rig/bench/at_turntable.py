@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench.cube_record import CubeRecord
-from rig.bench.station import Station, samples_meta
+from rig.bench.station import A_PERSON, Station, samples_meta
 from rig.bench.steps import Spin, touch_request
 from rig.errors import VerdictNotMet
 from rig.record import Samples
@@ -65,7 +65,7 @@ class WatchedRecord:
     def keep(self) -> None:
         """Close what was taken so far, so that it survives whatever comes next."""
         if self._stream is not None:
-            with self._station.watch("storage"):
+            with self._station.storing():
                 self._stream.close()
         if self._cube is not None:
             self._cube.keep()
@@ -90,7 +90,7 @@ class WatchedRecord:
         }
 
     def _keep(self, samples: Samples) -> None:
-        with self._station.watch("storage"):
+        with self._station.storing():
             if self._stream is None:
                 self._stream = self._station.journal.block_stream(self.name, samples_meta(samples))
             self._stream.append(samples.counts)
@@ -165,6 +165,7 @@ def _coast_down(step: Spin, station: Station, record: WatchedRecord) -> dict[str
             raise VerdictNotMet(
                 f"{step.label}: found the platter still turning after {COAST_AT_MOST:g} s, wanted it at rest"
             )
+    station.platter = "standing"
     return {}
 
 
@@ -179,7 +180,8 @@ def _whole(step: Spin, record: WatchedRecord) -> dict[str, Any]:
 
 def _speed(station: Station, rpm: float) -> None:
     """The record runs already, so that the whole change of speed is in it."""
-    station.guard.beat(within=3600.0)
+    station.platter = "turning"
+    station.guard.expect(A_PERSON)
     confirmation = station.turntable.set_speed(rpm)
     station.journal.note(
         "confirmed",

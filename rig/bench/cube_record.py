@@ -30,7 +30,7 @@ class CubeRecord:
     def take(self, seconds: float) -> None:
         """The next stretch, s by the device's rate."""
         samples = self._station.cube.read(seconds)
-        with self._station.watch("storage"):
+        with self._station.storing():
             if self._streams is None:
                 journal = self._station.journal
                 meta, frames = cube_meta(samples), {"kind": "cube_frames", "columns": list(FRAMES)}
@@ -46,7 +46,7 @@ class CubeRecord:
     def keep(self) -> None:
         """Close what was taken, so that it survives whatever comes next."""
         if self._streams is not None:
-            with self._station.watch("storage"):
+            with self._station.storing():
                 for stream in self._streams:
                     stream.close()
 

@@ -1,18 +1,22 @@
 """The guard: a small process that leaves the bench at rest when the program cannot.
 
-It is started before anything is energised and holds the other end of a pipe. While heartbeats come in it does
-nothing. When the pipe closes (the program was killed) or a heartbeat is overdue (the program hangs), it connects to
-each instrument anew, through that instrument's own driver, and makes it safe. A program that has left the bench at rest
-itself says so, and the guard ends without a word to the instruments.
+It is started before anything is energised and holds the other end of a pipe. While heartbeats come in and the program
+gets on it does nothing. When the pipe closes (the program was killed), when no heartbeat comes (it was stopped, or all
+of it hangs), or when they go on about the same thing for longer than that may take (its work hangs), the guard connects
+to each instrument anew, through that instrument's own driver, and makes it safe. A program that has left the bench at
+rest itself says so, and the guard ends without a word to the instruments.
 
 On the pipe, one line each, from the program to the guard::
 
-    {"instruments": [{"driver": "hp89410a", "name": "analyzer", "settings": {…}}], "within": 5.0, "log": "…"}
-    beat 2.5        silence is allowed for 2.5 s from now, in real time
+    {"instruments": [{"driver": "hp89410a", "name": "analyzer", "settings": {…}}], "log": "…", "armed": {…}}
+    beat 17 2.5     work has come to its 17th token, and the next is due 2.5 s of real time after this one began
     disarm          the bench is at rest; nothing to do any more
 
 The guard answers the first line with `armed`, or `failed <reason>`, and says nothing afterwards. What it does goes into
-the log: JSON lines with `event` and `monotonic` (s, the machine's monotonic clock).
+the run's log (`rig.archive.guard_log`). What may be energised stands in a file that outlives both (`rig.bench.armed`).
+
+Exit codes: 0 it was disarmed, or never armed; 1 it had to act and has read back that all is off; 2 it had to act and
+could not confirm that; 3 it could not be armed.
 """
 
 from __future__ import annotations
@@ -28,21 +32,31 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
 
+from rig.archive.guard_log import GuardLog
+from rig.bench.armed import Armed
 from rig.bench.clock import SystemClock
-from rig.errors import RigError, WorkFailed
+from rig.bench.possession import Holder
+from rig.bench.stopping import uninterrupted
+from rig.errors import NotSafe, RigError, WorkFailed
 from rig.room import Confirmation, Request, Room
 
+SILENCE = 4.5  # s without a heartbeat; with the half second between two of them the bench is at rest within 5 s
+PATIENCE = 3.8  # s that work may take between two signs of life, unless it says what it waits for
+_BEAT = 0.5  # s between heartbeats
+_LATE = 1.0  # s; a guard that wakes later than this was kept waiting itself, and knows nothing of the program
 _TRY_FOR = 10.0  # s until the guard gives up
 _ATTEMPT = 3.0  # s that one attempt at one instrument may take
 _PAUSE = 0.02  # s between rounds of attempts
-_ARM = 5.0  # s that arming may take
+_ARM = 5.0  # s that arming, and disarming, may take
+_DISARMED, _MADE_SAFE, _NOT_SAFE, _NOT_ARMED = range(4)  # exit codes
 
 
 @dataclass(frozen=True)
@@ -57,25 +71,39 @@ class Charge:
 class Guard:
     """The program's side. Leaving the `with` block without `disarm` lets the guard act, and waits until it has.
 
+    A thread sends the heartbeats; what the program's main thread says with `beat` and `expect` is what they are about.
+
     >>> with Guard.start() as guard:                           # early: it starts up beside the program
-    ...     guard.arm([Charge("hp89410a", "analyzer", {...})], within=5.0, log=run / "guard.jsonl")
-    ...     guard.beat(within=2.0)                             # before anything that may take up to 2 s of silence
+    ...     guard.arm([Charge("hp89410a", "analyzer", {...})], log=run / "guard.jsonl")
+    ...     guard.beat(within=60.0)                            # the next step takes 60 s at most
+    ...     guard.expect(2.0)                                  # nothing may be heard from it for 2 s
     ...     guard.disarm()                                     # the bench is at rest
     """
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
+        self._instruments: list[str] = []  # that are armed, or were
+        self._confirmed = False  # the program itself has read back that they are off
+        self._armed: Armed | None = None
+        self._attended, self._worker = True, 0
+        self._token, self._due, self._step_due = 0, 0.0, 0.0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._beat_on, name="heartbeat", daemon=True)
 
     @classmethod
-    def start(cls) -> Self:
-        """Start the process without waiting for it; raises WorkFailed if it cannot be started."""
+    def start(cls, holding: Sequence[int] = ()) -> Self:
+        """Start the process without waiting for it; `holding` are descriptors that it keeps open, such as locks.
+
+        Raises WorkFailed if it cannot be started.
+        """
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "rig.bench.guard"],
+                [sys.executable, "-P", "-m", "rig.bench.guard"],  # -P: nothing of the working folder is imported
                 bufsize=0,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
+                pass_fds=holding,
                 start_new_session=True,  # Ctrl-C at the terminal must not reach it
             )
         except OSError as error:
@@ -87,41 +115,118 @@ class Guard:
         """Process id of the guard."""
         return self._process.pid
 
-    def arm(self, instruments: Sequence[Charge], *, within: float, log: Path) -> None:
-        """Say what to make safe. Call it before anything is energised; the first beat is due `within` s from now.
+    def arm(
+        self, instruments: Sequence[Charge], *, log: Path, within: float = PATIENCE, armed: Armed | None = None
+    ) -> None:
+        """Say what to make safe. Call it before anything is energised; the first sign of life is due in `within` s.
 
         Raises WorkFailed if the guard cannot load a driver, or has not answered after 5 s.
         """
-        order = {"instruments": [asdict(charge) for charge in instruments], "within": within, "log": str(log)}
-        self._send(json.dumps(order))
+        order = {"instruments": [asdict(charge) for charge in instruments], "log": str(log)}
+        self._armed = armed
+        self._send(json.dumps(order | {"armed": armed and armed.as_json()}))
         answer = self._answer(time.monotonic() + _ARM)
         if answer != "armed":
+            if armed is not None:
+                armed.clear()
             raise WorkFailed(f"guard: found {answer!r}, wanted 'armed': nothing may be energised")
+        self._instruments = [charge.name for charge in instruments]
+        self._worker = threading.get_ident()
+        self.beat(within)
+        self._thread.start()
 
     def beat(self, within: float) -> None:
-        """Promise another beat `within` s of real time; raises WorkFailed if the guard is gone or has acted."""
-        self._send(f"beat {within:.3f}")
+        """What begins now takes at most `within` s of real time, as a whole.
+
+        Raises WorkFailed if the guard is gone or has acted.
+        """
+        self._step_due = time.monotonic() + within
+        self.expect(min(within, PATIENCE))
+
+    def expect(self, within: float = PATIENCE) -> None:
+        """A sign of life: work goes on, and the next sign is due within so many s of real time.
+
+        Signs of other threads than the one that armed the guard say nothing of its work and are not heard. Raises
+        WorkFailed if the guard is gone or has acted: then nothing may be sent to an instrument any more.
+        """
+        if threading.get_ident() != self._worker or not self._attended:
+            return
+        if self._process.poll() is not None:
+            raise WorkFailed("guard: it is gone or has acted already, and nothing more may be asked of the bench")
+        self._token, self._due = self._token + 1, time.monotonic() + within
+        self._step_due = max(self._step_due, self._due if within > PATIENCE else 0.0)
+
+    def leave(self) -> None:
+        """The safe action begins; it, and the closing of links, are done even if the guard is gone."""
+        self._attended = False
+        self._token, self._due, self._step_due = self._token + 1, *2 * (time.monotonic() + PATIENCE,)
 
     def disarm(self) -> None:
-        """Say that the bench is at rest, and wait until the guard has gone; raises WorkFailed if it had acted."""
-        self._send("disarm")
-        if self._process.wait(timeout=_ARM) != 0:
-            raise WorkFailed("guard: it had acted before it was disarmed")
+        """Say that the bench was read back as being at rest, and wait until the guard has gone.
+
+        Raises WorkFailed if it was gone before or had acted: what was measured since is not what it seems.
+        """
+        self._stop_beating()
+        with contextlib.suppress(WorkFailed):
+            self._send("disarm")
+        try:
+            code = self._process.wait(timeout=_ARM)
+        except subprocess.TimeoutExpired:
+            self._process.kill()  # it must not wake up and act upon the next run
+            code = self._process.wait()
+        if self._armed is not None:
+            self._armed.clear()
+        self._confirmed = True
+        if code != _DISARMED:
+            found = "it had acted" if code == _MADE_SAFE else f"it had ended ({code})"
+            raise WorkFailed(f"guard: {found} before it was disarmed")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
-        self._process.wait(timeout=_TRY_FOR + 2 * _ATTEMPT)
+        with uninterrupted():
+            self._stop_beating()
+            for pipe in (self._process.stdin, self._process.stdout):
+                if pipe is not None:
+                    pipe.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=_TRY_FOR + 2 * _ATTEMPT)
+
+    def how_left(self) -> str:
+        """After the block: how what was armed was left, in words; empty if there was nothing.
+
+        Raises NotSafe if it was left to the guard, and that could not read it back as off or has not said so.
+        """
+        names = ", ".join(self._instruments)
+        if not names:
+            return ""
+        if self._confirmed:
+            return f"{names}: off, read back"
+        if self._process.returncode != _MADE_SAFE:
+            how = {None: "does not answer", _NOT_SAFE: "could not confirm it"}
+            why = how.get(self._process.returncode, f"has ended ({self._process.returncode})")
+            raise NotSafe(f"{names}: not read back as off; the guard {why}")
+        return f"{names}: off, read back by the guard"
+
+    def _beat_on(self) -> None:
+        """Until it is over, say every half second what work has come to; a main thread that hangs does not stop it."""
+        while not self._over.is_set():
+            token, due = self._token, min(self._due, self._step_due)
+            with contextlib.suppress(WorkFailed):  # the next sign of life finds the guard gone
+                self._send(f"beat {token} {due - time.monotonic():.3f}")
+            self._over.wait(_BEAT)
+
+    def _stop_beating(self) -> None:
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=_BEAT)
 
     def _send(self, line: str) -> None:
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(line.encode() + b"\n")
-        except (BrokenPipeError, ValueError) as error:
+        except (OSError, ValueError) as error:
             raise WorkFailed("guard: it is gone or has acted already; the bench must be taken to be at rest") from error
 
     def _answer(self, until: float) -> str:
@@ -138,25 +243,13 @@ class Guard:
 
 
 @dataclass(frozen=True)
-class Log:
-    """What the guard did, in JSON lines. A log that cannot be written never keeps the guard from acting."""
-
-    path: Path
-
-    def write(self, event: str, **details: object) -> None:
-        line = json.dumps({"event": event, "monotonic": time.monotonic(), **details}) + "\n"
-        with contextlib.suppress(OSError), self.path.open("a", encoding="utf-8") as file:
-            file.write(line)
-
-
-@dataclass(frozen=True)
 class Duty:
     """One instrument with its driver loaded and its settings accepted."""
 
     name: str
     connect: Callable[[], Any]
 
-    def act(self, log: Log) -> None:
+    def act(self, log: GuardLog) -> None:
         """Connect, make safe, close."""
         began = time.monotonic()
         try:
@@ -215,33 +308,66 @@ def load_driver(name: str) -> ModuleType:
     raise ImportError(f"found no driver {name!r}, wanted a module of `drivers` or an entry point of `rig.drivers`")
 
 
+@dataclass(frozen=True)
+class Orders:
+    """What to make safe, where to write what was done, and what to leave for the next program if it was not."""
+
+    duties: Sequence[Duty]
+    log: GuardLog
+    armed: Armed | None
+
+    @classmethod
+    def of(cls, line: str) -> Self:
+        """From the first line; the armed state is written. Raises what drivers raise, ValueError, KeyError, OSError."""
+        order = json.loads(line)
+        duties = [_duty(Charge(**item)) for item in order["instruments"]]
+        armed = None
+        if order.get("armed"):
+            armed = replace(Armed.from_json(order["armed"]), guard=Holder.myself())
+            armed.write()
+        return cls(duties, GuardLog(Path(order["log"])), armed)
+
+    def clear(self) -> None:
+        if self.armed is not None:
+            self.armed.clear()
+
+
 def main() -> int:
-    """Run the guard on standard input and output; 0 if it was disarmed, 1 if it had to act."""
+    """Run the guard on standard input and output; the exit code is in this module's docstring."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     _warm_up()
     pipe = Pipe(sys.stdin.fileno())
     try:
-        duties, log, within = _orders(pipe.line())
+        orders = Orders.of(pipe.line())
     except EOFError:
-        return 0  # the program ended, or thought better of it, before anything was energised
-    except (RigError, ImportError, AttributeError, ValueError, TypeError, KeyError) as error:
+        return _DISARMED  # the program ended, or thought better of it, before anything was energised
+    except (RigError, ImportError, AttributeError, ValueError, TypeError, KeyError, OSError) as error:
         _say(f"failed {type(error).__name__}: {error}".replace("\n", "; "))
-        return 1
-    return _stand_guard(pipe, duties, log, within)
+        return _NOT_ARMED
+    return _stand_guard(pipe, orders)
 
 
-def _stand_guard(pipe: Pipe, duties: Sequence[Duty], log: Log, within: float) -> int:
-    log.write("armed", instruments=[duty.name for duty in duties], pid=os.getpid())
-    until = time.monotonic() + within
+def _stand_guard(pipe: Pipe, orders: Orders) -> int:
+    log = orders.log
+    log.write("armed", instruments=[duty.name for duty in orders.duties], pid=os.getpid())
     _say("armed")
-    because = _watch(pipe, until)
+    because = _watch(pipe)
     if because is None:
+        orders.clear()
         log.write("disarmed")
-        return 0
+        return _DISARMED
     log.write("acting", because=because)
-    _make_safe(duties, log)
-    return 1
+    left = _make_safe(orders.duties, log)
+    if left:
+        if orders.armed is not None:
+            with contextlib.suppress(OSError):  # what was written before says enough
+                replace(orders.armed, instruments=tuple(left), reason="the guard could not read it back as off").write()
+        log.write("gave up", instruments=left)
+        return _NOT_SAFE
+    orders.clear()
+    log.write("done")
+    return _MADE_SAFE
 
 
 def _warm_up() -> None:
@@ -252,11 +378,6 @@ def _warm_up() -> None:
     pyvisa.ResourceManager("@py")
 
 
-def _orders(line: str) -> tuple[list[Duty], Log, float]:
-    order = json.loads(line)
-    return [_duty(Charge(**item)) for item in order["instruments"]], Log(Path(order["log"])), float(order["within"])
-
-
 def _duty(charge: Charge) -> Duty:
     module = load_driver(charge.driver)
     settings = module.Settings(**charge.settings)
@@ -264,36 +385,46 @@ def _duty(charge: Charge) -> Duty:
     return Duty(charge.name, lambda: module.connect(charge.name, settings, room))
 
 
-def _watch(pipe: Pipe, until: float) -> str | None:
-    """Wait through heartbeats; why the guard must act, or None if it was disarmed."""
+def _watch(pipe: Pipe) -> str | None:
+    """Wait through heartbeats; why the guard must act, or None if it was disarmed.
+
+    A token's time is counted from its first heartbeat, which may come half a second after it began, as may that of the
+    next one.
+    """
+    token, due = "", time.monotonic() + SILENCE
+    until = due
     while True:
         try:
             line = pipe.line(until)
         except EOFError:
             return "the program has gone"
         except TimeoutError:
-            return "a heartbeat is overdue"
+            if time.monotonic() - until > _LATE:
+                due = until = time.monotonic() + SILENCE
+                continue
+            return f"work has not got on from token {token} in time" if until == due else "a heartbeat is overdue"
         if line == "disarm":
             return None
-        beat = re.fullmatch(r"beat (\d{1,6}(?:\.\d+)?)", line)
+        beat = re.fullmatch(r"beat (\d{1,20}) (-?\d{1,9}\.\d+)", line)
         if beat is None:
             return f"received {line[:80]!r}, wanted a heartbeat"
-        until = time.monotonic() + float(beat[1])
+        if beat[1] != token:
+            token, due = beat[1], time.monotonic() + float(beat[2]) + _BEAT
+        until = min(due, time.monotonic() + SILENCE)
 
 
-def _make_safe(duties: Sequence[Duty], log: Log) -> None:
-    """Round after round over what is not safe yet, until all is or the time is up."""
+def _make_safe(duties: Sequence[Duty], log: GuardLog) -> list[str]:
+    """Round after round over what is not safe yet, until all is or the time is up; what is left."""
     until = time.monotonic() + _TRY_FOR
     left = list(duties)
     while True:
         left = [duty for duty in left if not _attempted(duty, log)]
         if not left or time.monotonic() > until:
-            break
+            return [duty.name for duty in left]
         time.sleep(_PAUSE)
-    log.write("gave up" if left else "done", **({"instruments": [duty.name for duty in left]} if left else {}))
 
 
-def _attempted(duty: Duty, log: Log) -> bool:
+def _attempted(duty: Duty, log: GuardLog) -> bool:
     """One attempt, in a child process; whether the instrument is safe now.
 
     A link that hangs or a driver that crashes then costs one attempt, and no other instrument its safe state.

@@ -9,10 +9,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rig.archive.runs import Runs
+from rig.archive.guard_log import GUARD_LOG, GuardLog
+from rig.archive.runs import Run, Runs
 from rig.archive.writer import RunWriter
 from rig.bench import at_rest, at_shaker, at_turntable, resuming
-from rig.bench.assembly import Bench, connected
+from rig.bench.assembly import Bench, connected, occupied
 from rig.bench.benchfile import BenchDescription
 from rig.bench.guard import Guard
 from rig.bench.roles import Energises
@@ -20,7 +21,7 @@ from rig.bench.station import Drive, Station, Stopwatch
 from rig.bench.steps import AlignBeam, Ask, Plan, SetFilter, Sine, Spin, Static, Step, Wait
 from rig.bench.stopping import stoppable, uninterrupted
 from rig.bench.transcript import RunTranscript
-from rig.errors import BadInput, InstrumentError, VerdictNotMet, WorkFailed
+from rig.errors import BadInput, InstrumentError, NotSafe, RigError, VerdictNotMet, WorkFailed
 from rig.yaml import config
 
 PATIENCE = 60.0  # s of real time that one step of a few seconds may take before the guard calls it hung
@@ -92,22 +93,48 @@ def resume(order: Order, name: str) -> Outcome:
         steps = {int(e.body["index"]): e.body for e in old.lines() if e.kind in ("step", "point")}
         with runs.reopen(name) as writer:
             transcript.attach(writer.path)
+            _journal_the_guard(writer, old)
             carrying = _Carrying(order, bench, guard, writer)
             carrying.expected = {e.body["role"]: e.body["settings"] for e in old.lines() if e.kind == "settings"}
             return carrying.carry_out(done=frozenset(steps), recorded=steps)
 
 
+def _journal_the_guard(writer: RunWriter, old: Run) -> None:
+    """What the guard did when nobody could write the journal any more."""
+    known = sum(len(entry.body["events"]) for entry in old.lines() if entry.kind == "guard")
+    if events := GuardLog(old.path / GUARD_LOG).events()[known:]:
+        writer.note("guard", events=events)
+
+
 @contextmanager
 def _attended(order: Order) -> Iterator[tuple[Guard, Bench, RunTranscript]]:
-    """The guard beside us, the instruments connected, and every exchange written down; undone in the other order."""
-    transcript = RunTranscript()
-    with (
-        stoppable(),
-        Guard.start() as guard,
-        closing(transcript),
-        connected(order.description, order.runs, _needed(order), transcript=transcript) as bench,
-    ):
-        yield guard, bench, transcript
+    """The bench to oneself, the guard beside us, the instruments connected, and every exchange written down.
+
+    Undone in the other order. An error that then leaves says how the bench was left; NotSafe takes its place if what
+    was energised was not read back as off.
+    """
+    with stoppable(), occupied(order.description, order.runs) as possession:
+        guard, transcript = Guard.start(possession.descriptors), RunTranscript()
+        ready = connected(
+            order.description, order.runs, _needed(order), transcript=transcript, possession=possession, guard=guard
+        )
+        try:
+            with guard, closing(transcript), ready as bench:
+                yield guard, bench, transcript
+        except BaseException as error:
+            left = _left(guard, error)
+            if not left and not getattr(error, "__notes__", ()) and not isinstance(error, RigError):
+                left = "nothing was energised"
+            if left:
+                error.add_note(left)
+            raise
+
+
+def _left(guard: Guard, error: BaseException) -> str:
+    try:
+        return guard.how_left()
+    except NotSafe as unsafe:
+        raise unsafe from error
 
 
 def _needed(order: Order) -> Callable[[str], bool]:
@@ -197,7 +224,8 @@ class _Carrying:
     def carry_out(self, done: frozenset[int], recorded: Mapping[int, Mapping[str, Any]] | None = None) -> Outcome:
         """Every step that is not done; the bench is at rest when this returns or raises."""
         begun, cost = time.perf_counter(), self._simulation()
-        self._guard.arm(self._bench.charges, within=PATIENCE, log=self._writer.path / "guard.jsonl")
+        log = self._writer.path / GUARD_LOG
+        self._guard.arm(self._bench.charges, within=PATIENCE, log=log, armed=self._bench.armed(log))
         try:
             if recorded:
                 self._station.cables = resuming.cables_of(self._order.plan.steps, done)
@@ -273,24 +301,44 @@ class _Carrying:
     def _end(self, status: str | None, error: BaseException | None) -> None:
         """The safe action first, then the seal. Without confirmation of the safe action the guard stays armed."""
         try:
-            self._make_safe()
-        except InstrumentError as unsafe:
-            self._writer.note("not_safe", reason=str(unsafe), left_to="the guard")
+            failed = self._make_safe()
+        except WorkFailed as gone:  # the guard had acted; what was measured meanwhile is not a completed run
+            failed = None
             if error is None:
                 raise
+            self._writer.note("guard_gone", reason=str(gone))
+        if failed is not None:
+            self._writer.note("not_safe", reason=str(failed), left_to="the guard")
+            if error is None:
+                raise failed
         if error is not None:
+            self._say_of_the_platter(error)
             self._writer.note("stopped", error=type(error).__name__, reason=str(error))
         if status == "completed":
             self._writer.seal("completed")
         elif status == "aborted":
             self._writer.seal("aborted", str(error))
 
-    def _make_safe(self) -> None:
+    def _make_safe(self) -> InstrumentError | None:
+        """Every instrument that energises something off and read back; the failure if one of them was not."""
+        failed = None
         with uninterrupted():
+            self._guard.leave()
             for instrument in self._bench.instruments.values():
                 if isinstance(instrument, Energises):
-                    instrument.make_safe()
-            self._guard.disarm()
+                    try:
+                        instrument.make_safe()
+                    except InstrumentError as unsafe:
+                        failed = failed or unsafe
+            if failed is None:
+                self._guard.disarm()
+        return failed
+
+    def _say_of_the_platter(self, error: BaseException) -> None:
+        """Nobody but a person can stop it, and only its encoder can say that it stands."""
+        said = {"turning": "platter: not confirmed", "standing": "platter: at rest, by its encoder", "untouched": ""}
+        if text := said[self._station.platter]:
+            error.add_note(text)
 
     def _report(self, label: str) -> None:
         steps = self._order.plan.steps

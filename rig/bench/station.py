@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,15 @@ from numpy.typing import NDArray
 from rig.archive.writer import RunWriter
 from rig.bench.benchfile import BenchDescription
 from rig.bench.roles import Analyzer, Filter, Instrument, Recorder, Scope, Vibrometer
+from rig.bench.watched import Heartbeat
 from rig.errors import BadInput, InstrumentError
 from rig.record import CubeSamples, Samples, Timing
 from rig.room import Confirmation, Request, Room
 
+A_PERSON = 3600.0  # s of real time that a person may take for one thing
+A_DISK = 30.0  # s of real time that a block may take to get onto the disk
 
-class Heartbeat(Protocol):
-    """The guard, as a step sees it."""
-
-    def beat(self, within: float) -> None:
-        """Promise another sign of life within so many seconds of real time."""
-        ...
+Platter = Literal["untouched", "turning", "standing"]
 
 
 class Stopwatch:
@@ -86,6 +84,7 @@ class Station:
     wired: tuple[str, ...] = ()  # channels that the converter was last configured for
     step: str = ""  # number of the step, the first part of its blocks' names
     sensor_range: float = 0.0  # V peak, of the analyzer's input 2
+    platter: Platter = "untouched"  # `standing` only where its encoder has shown it
 
     @property
     def analyzer(self) -> Analyzer:
@@ -140,7 +139,7 @@ class Station:
 
     def ask(self, request: Request) -> Confirmation:
         """Let the operator do one thing, and keep who confirmed what and when."""
-        self.guard.beat(within=3600.0)
+        self.guard.expect(A_PERSON)
         confirmation = self.room.operator.ask(request)
         self.journal.note(
             "confirmed",
@@ -166,14 +165,22 @@ class Station:
                 self.journal.note("partial", samples=self.store(f"{self.step}-partial", rest).name)
             raise
 
+    @contextmanager
+    def storing(self) -> Iterator[None]:
+        """Time that goes to the disk, which may be slow."""
+        self.guard.expect(A_DISK)
+        with self.watch("storage"):
+            yield
+        self.guard.expect()
+
     def store(self, name: str, samples: Samples) -> Any:
         """Close one stretch of raw counts as a block; returns the block's reference."""
-        with self.watch("storage"):
+        with self.storing():
             return self.journal.block(name, samples.counts, samples_meta(samples))
 
     def store_cube(self, name: str, samples: CubeSamples) -> dict[str, Any]:
         """The cube's own frames as two blocks: raw counts, and what came with each frame."""
-        with self.watch("storage"):
+        with self.storing():
             self.journal.block(f"{name}-cube", samples.counts, cube_meta(samples))
             columns = {"kind": "cube_frames", "columns": list(FRAMES)}
             self.journal.block(f"{name}-cube-frames", frame_columns(samples), columns)

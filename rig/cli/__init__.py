@@ -55,7 +55,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "demo": ("investigate", "A sealed world to learn on: demo hidden."),
     },
     "The bench": {
-        "bench": ("bench", "Check, serve or reveal the bench."),
+        "bench": ("bench", "Check the bench, make it safe, serve or reveal it."),
         "daq": ("daq", "The acquisition service on the PC-104 machine."),
         "init": ("init", "Copy example configs and procedures into this folder."),
     },
@@ -63,13 +63,17 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
 COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 EXIT_CODES: Mapping[int, str] = {
     0: "Done.",
-    1: "The work failed on the way: an instrument, the operator, the bench, the archive.",
+    1: "The work failed on the way: an instrument, the operator, the bench, the archive. The bench has another driver. "
+    "NOT SAFE: something that was energised was not read back as off.",
     2: "What you gave cannot be used: options, a YAML file, a missing operator, an overdue standard, an unknown run. "
     "Nothing was energised.",
     3: "A limit, a gate or an `expect` was not met.",
-    130: "Interrupted (Ctrl-C, SIGTERM, SIGHUP); what was energised is off.",
+    130: "Interrupted (Ctrl-C, SIGTERM, SIGHUP); what was energised was read back as off.",
     141: "The reader of the output went away.",
 }
+
+
+RUNS = "rig.cli.runs"  # in the invocation's meta: the folder of runs that it is about
 
 
 class LazyGroup(click.Group):
@@ -92,15 +96,18 @@ class LazyGroup(click.Group):
         from rig.errors import RigError, Terminated
 
         try:
-            return super().invoke(ctx)
+            done = super().invoke(ctx)
         except RigError as error:
             from rig.cli.onward import completed
 
             error.args = tuple(completed(part) if isinstance(part, str) else part for part in error.args)
+            _warn(ctx, error)
             raise
-        except (click.Abort, KeyboardInterrupt, Terminated):
-            _say_interrupted(ctx)
+        except (click.Abort, KeyboardInterrupt, Terminated) as stop:
+            _say_interrupted(ctx, stop)
             raise click.exceptions.Exit(130) from None
+        _warn(ctx)
+        return done
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         width = max(map(len, COMMANDS))  # one column for all sections
@@ -113,10 +120,29 @@ class LazyGroup(click.Group):
             formatter.write_dl([(str(code), text) for code, text in EXIT_CODES.items()])
 
 
-def _say_interrupted(ctx: click.Context) -> None:
+def _warn(ctx: click.Context, error: Exception | None = None) -> None:
+    """Say what is left armed on a bench, unless the error says so already; commands about runs are not kept from it."""
+    from rig.errors import NotSafe
+
+    if RUNS not in ctx.meta or isinstance(error, NotSafe):
+        return
+    from rig.bench.armed import unattended
     from rig.cli.onward import command
 
-    click.echo("interrupted; what was energised is off", err=True)
+    for armed in unattended(ctx.meta[RUNS]):
+        _shout(f"{armed}; next: {command('bench', 'safe')}")
+
+
+def _shout(text: str) -> None:
+    """Red on a terminal."""
+    click.secho(f"NOT SAFE: {text}", fg="red", bold=True, err=True)
+
+
+def _say_interrupted(ctx: click.Context, stop: BaseException) -> None:
+    """What to do next, and how the bench was left as far as that was read back."""
+    from rig.cli.onward import command
+
+    click.echo("; ".join(["interrupted", *getattr(stop, "__notes__", ())]), err=True)
     found = COMMANDS.get(ctx.invoked_subcommand or "", ("", ""))[0]
     if found in ("measure", "investigate"):
         click.echo(f"next: {command('resume', 'last')}", err=True)
@@ -134,7 +160,7 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Entry point: deliberate errors become one message on stderr and the exit code that the error names."""
-    from rig.errors import RigError, Terminated
+    from rig.errors import NotSafe, RigError, Terminated
 
     # the matrices of a fit are small: threads of the linear algebra wait for one another longer than they work
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -148,8 +174,13 @@ def main() -> NoReturn:
     except (click.Abort, KeyboardInterrupt, Terminated):  # before any command had begun
         click.echo("interrupted", err=True)
         code = 130
+    except NotSafe as error:
+        if isinstance(error.__cause__, RigError):
+            click.echo(f"error: {error.__cause__}", err=True)
+        _shout(str(error))
+        code = error.exit_code
     except RigError as error:
-        click.echo(f"error: {error}", err=True)
+        click.echo("\n".join([f"error: {error}", *getattr(error, "__notes__", ())]), err=True)
         code = error.exit_code
     except BrokenPipeError:  # the reader of our output (head, less) went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

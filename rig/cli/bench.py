@@ -1,4 +1,4 @@
-"""Commands about the bench itself: check, serve, reveal."""
+"""Commands about the bench itself: check, safe, serve, reveal."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from rig.cli.options import MODEL, bench_option, bench_path, effects_option, jso
 if TYPE_CHECKING:
     from rig.bench.assembly import Bench
     from rig.bench.benchfile import BenchDescription
+    from rig.bench.possession import Possession
+    from rig.bench.safe_action import Done
 
 
 @click.group()
 def bench() -> None:
-    """The bench itself: find its instruments, serve the simulated one, reveal what it hides."""
+    """The bench itself: find its instruments, make it safe, serve the simulated one, reveal what it hides."""
 
 
 @bench.command()
@@ -47,12 +49,14 @@ def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> N
 
     `pending` are errors that the instrument kept in its queue; `optical_level` is in bars of 40, or `null`.
     """
+    from rig.bench.assembly import occupied
     from rig.bench.benchfile import describe
     from rig.errors import WorkFailed
 
     description = describe(bench_path(bench))
-    rows = _instrument_rows(description, runs)
-    standards, level = _standard_rows(description, runs, watch, quiet=as_json)
+    with occupied(description, runs) as possession:
+        rows = _instrument_rows(description, runs, possession)
+        standards, level = _standard_rows(description, runs, possession, watch, quiet=as_json)
     report = {
         "bench": description.file.bench,
         "simulated": description.simulated,
@@ -69,7 +73,7 @@ def check(bench: Path | None, runs: Path, as_json: bool, watch: int | None) -> N
         raise WorkFailed(f"found no working {', '.join(missing)}; wanted every instrument of {description.path.name}")
 
 
-def _instrument_rows(description: BenchDescription, runs: Path) -> list[dict[str, Any]]:
+def _instrument_rows(description: BenchDescription, runs: Path, possession: Possession) -> list[dict[str, Any]]:
     """One row for each instrument; one that fails does not hide the others."""
     from rig.bench.assembly import connected, fittings
     from rig.errors import WorkFailed
@@ -78,7 +82,7 @@ def _instrument_rows(description: BenchDescription, runs: Path) -> list[dict[str
     for role, fitting in fittings(description).items():
         row: dict[str, Any] = {"role": role, "driver": fitting.driver, "identity": "", "error": "", "pending": []}
         try:
-            with connected(description, runs, role.__eq__) as found:
+            with connected(description, runs, role.__eq__, possession=possession) as found:
                 instrument = found.instruments[role]
                 row["identity"] = str(instrument.identify())
                 errors = getattr(instrument, "errors", None)
@@ -90,14 +94,14 @@ def _instrument_rows(description: BenchDescription, runs: Path) -> list[dict[str
 
 
 def _standard_rows(
-    description: BenchDescription, runs: Path, watch: int | None, *, quiet: bool
+    description: BenchDescription, runs: Path, possession: Possession, watch: int | None, *, quiet: bool
 ) -> tuple[list[dict[str, Any]], int | None]:
     from rig.bench.assembly import connected
     from rig.errors import WorkFailed
 
     level = None
     try:
-        with connected(description, runs, lambda role: role == "vibrometer") as found:
+        with connected(description, runs, "vibrometer".__eq__, possession=possession) as found:
             late = {standard.standard for standard in description.overdue(found.room.clock.now())}
             if "vibrometer" in found.instruments:
                 level = _watched_level(found, watch, quiet)
@@ -141,6 +145,57 @@ def _print_report(report: dict[str, Any]) -> None:
     if report["optical_level"] is not None:
         click.echo(f"  {'beam':<11} optical level {report['optical_level']} of 40")
     say_next(command("sweep", "--axis", "x"))
+
+
+@bench.command()
+@bench_option
+@runs_option
+@json_option
+def safe(bench: Path | None, runs: Path, as_json: bool) -> None:
+    """Switch off whatever the bench's instruments energise, and read back that it is off.
+
+    After NOT SAFE, no other command touches the bench until this one has succeeded. A program that has ended or is
+    stopped is passed over; one that is at work is not: interrupt it, and it makes the bench safe itself. Exit code 1 if
+    something was not read back as off. A platter has no remote control: look at it.
+
+    \f
+    ```json
+    {"bench": "simulated", "simulated": true, "safe": true,
+     "instruments": [{"role": "analyzer", "off": true, "in_words": "off, read back"}],
+     "platter": "not confirmed", "passed": [], "left": null}
+    ```
+
+    `passed` are programs that had the bench and were passed over; `left` says what was left armed on it, if anything.
+    """
+    from rig.bench import safe_action
+    from rig.bench.benchfile import describe
+    from rig.errors import NotSafe
+
+    description = describe(bench_path(bench))
+    done = safe_action.make_safe(description, runs)
+    if as_json:
+        instruments = [{"role": one.role, "off": one.off, "in_words": one.in_words} for one in done.found]
+        report = {"bench": description.file.bench, "simulated": description.simulated, "safe": done.safe}
+        platter = "not confirmed" if done.platter else None
+        print_json(
+            {**report, "instruments": instruments, "platter": platter, "passed": list(done.passed), "left": done.left}
+        )
+    else:
+        _print_safe(description, done)
+    if not done.safe:
+        raise NotSafe("; ".join(f"{one.role}: {one.in_words}" for one in done.found if not one.off))
+
+
+def _print_safe(description: BenchDescription, done: Done) -> None:
+    click.echo(f"bench {description.file.bench}{' (SIMULATED)' if description.simulated else ''}")
+    for text in [*done.passed, *([] if done.left is None else [f"was left: {done.left}"])]:
+        click.echo(f"  {text}")
+    for one in done.found:
+        click.echo(f"  {one.role:<11} {one.in_words if one.off else 'NOT SAFE'}")
+    if done.platter:
+        click.echo(f"  {'platter':<11} not confirmed")
+    if done.safe:
+        say_next(command("bench", "check"))
 
 
 @bench.command()

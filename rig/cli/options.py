@@ -48,7 +48,16 @@ def runs_option(command: F) -> F:
         default=Path("runs"),
         show_default=True,
         help="Folder of the runs.",
+        callback=_noted,
     )(command)
+
+
+def _noted(ctx: click.Context, parameter: click.Parameter, runs: Path) -> Path:
+    """The folder of runs that the whole invocation is about."""
+    from rig.cli import RUNS
+
+    ctx.meta[RUNS] = runs
+    return runs
 
 
 def effects_option(command: F) -> F:

@@ -32,7 +32,7 @@ def runs(runs: Path, as_json: bool) -> None:
         return
     width = max(len(row["run"]) for row in rows)
     for row in rows:
-        mark = "  SIMULATED" if row["simulated"] else ""
+        mark = ("  SIMULATED" if row["simulated"] else "") + ("  NOT SAFE" if row["not_safe"] else "")
         click.echo(
             f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}"
         )
@@ -49,11 +49,12 @@ def show(name: str, runs: Path, as_json: bool) -> None:
     \f
     ```json
     {"run": "2026-11-24T130059-sweep-x", "procedure": "frequency_sweep", "status": "completed", "points_done": 48,
-     "points_total": 48, "simulated": true, "path": "runs/2026-11-24T130059-sweep-x"}
+     "points_total": 48, "simulated": true, "path": "runs/2026-11-24T130059-sweep-x", "not_safe": null}
     ```
 
     `status` is one of the [states](../explanation/records-and-durability.md#seal-and-states). In a damaged run what is
-    unknown is `null`. An imported run has `findings` besides, as `rig import` gives them.
+    unknown is `null`. `not_safe` says what the run left energised, as far as is known by the log of its guard. An
+    imported run has `findings` besides, as `rig import` gives them.
     """
     from rig.archive.runs import Runs
     from rig.cli import outcome
@@ -63,6 +64,8 @@ def show(name: str, runs: Path, as_json: bool) -> None:
         print_json({**run.summary(), **outcome.findings_as_json(run)})
     else:
         click.echo(outcome.run_as_text(run))
+    if found := run.summary()["not_safe"]:
+        click.secho(f"NOT SAFE: {found}", fg="red", bold=True, err=True)
 
 
 @click.command()

@@ -218,6 +218,7 @@ def test_only_a_run_with_all_its_points_is_completed(runs: Runs, writer: RunWrit
         "points_total": 2,
         "simulated": True,
         "path": str(writer.path),
+        "not_safe": None,
     }
 
 

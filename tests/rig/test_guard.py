@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,9 +21,11 @@ from typing import Any
 
 import pytest
 
+from rig.bench.armed import Armed, left_armed
 from rig.bench.control import Addresses, Control
 from rig.bench.guard import Charge, Guard, load_driver
-from rig.errors import WorkFailed
+from rig.bench.possession import Holder
+from rig.errors import NotSafe, WorkFailed
 
 DRIVER = '''
 """A source with two commands, on a socket."""
@@ -79,13 +83,13 @@ class Instrument:
                 link.sendall(reply)
         return arrived
 
+    def answered_if_asked(self) -> None:
+        """Take a connection if there is one."""
+        if not self.untouched():
+            self.answer()
+
     def untouched(self) -> bool:
-        self._server.setblocking(False)
-        try:
-            self._server.accept()
-        except BlockingIOError:
-            return True
-        return False
+        return not select.select([self._server], [], [], 0)[0]
 
     def close(self) -> None:
         self._server.close()
@@ -137,7 +141,7 @@ def test_the_source_is_off_within_a_tenth_of_a_second_after_the_program_is_kille
     assert named(tmp_path / "guard.jsonl")[:2] == ["armed", "acting"]
 
 
-def test_an_overdue_heartbeat_makes_the_guard_act_and_the_program_is_told(
+def test_work_that_does_not_get_on_makes_the_guard_act_and_the_program_is_told(
     instrument: Instrument, tmp_path: Path
 ) -> None:
     with Guard.start() as guard:
@@ -147,7 +151,91 @@ def test_an_overdue_heartbeat_makes_the_guard_act_and_the_program_is_told(
         with pytest.raises(WorkFailed, match="guard"):
             guard.disarm()
     assert named(tmp_path / "guard.jsonl") == ["armed", "acting", "made safe", "done"]
-    assert events(tmp_path / "guard.jsonl")[1]["because"] == "a heartbeat is overdue"
+    assert events(tmp_path / "guard.jsonl")[1]["because"] == "work has not got on from token 2 in time"
+
+
+def test_a_main_thread_that_waits_for_ever_is_found_though_others_go_on(instrument: Instrument, tmp_path: Path) -> None:
+    over = threading.Event()
+    with Guard.start() as guard:
+        other = threading.Thread(target=lambda: [guard.expect() for _ in iter(lambda: over.wait(0.2), True)])
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl")
+        guard.beat(within=60.0)
+        waits = time.monotonic()
+        other.start()
+        assert instrument.answer() - waits < 5.0
+        over.set()
+        other.join()
+    assert "work has not got on" in events(tmp_path / "guard.jsonl")[1]["because"]
+
+
+def test_a_step_may_not_outlast_its_time_however_busy_it_looks(instrument: Instrument, tmp_path: Path) -> None:
+    def busy() -> None:
+        while True:
+            guard.expect()
+            instrument.answered_if_asked()
+
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl")
+        guard.beat(within=1.0)
+        with pytest.raises(WorkFailed, match="gone or has acted"):
+            busy()
+
+
+def test_what_was_announced_is_waited_for(instrument: Instrument, tmp_path: Path) -> None:
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl")
+        guard.beat(within=0.5)
+        guard.expect(60.0)  # a person is asked, in a step that was thought to be short
+        time.sleep(2.0)
+        guard.expect()
+        guard.disarm()
+    assert instrument.untouched()
+
+
+def test_a_guard_that_is_killed_is_found_before_the_next_message(instrument: Instrument, tmp_path: Path) -> None:
+    armed = an_armed(tmp_path)
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl", armed=armed)
+        os.kill(guard.pid, signal.SIGKILL)
+        guard._process.wait()
+        with pytest.raises(WorkFailed, match="gone or has acted"):
+            guard.expect()
+    with pytest.raises(NotSafe, match="source: not read back as off; the guard has ended"):
+        guard.how_left()
+    found = left_armed([Path(armed.files[0])])
+    assert found is not None
+    assert "armed, and nobody has read it back as off" in str(found)
+
+
+def test_what_is_armed_stands_in_a_file_until_it_was_read_back(instrument: Instrument, tmp_path: Path) -> None:
+    armed = an_armed(tmp_path)
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl", armed=armed)
+        assert left_armed([Path(armed.files[0])]) is not None
+        guard.disarm()
+    assert left_armed([Path(armed.files[0])]) is None
+    assert guard.how_left() == "source: off, read back"
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl", armed=armed)
+        guard._process.stdin.close()  # type: ignore[union-attr]  # what leaving the block does first
+        instrument.answer()
+    assert left_armed([Path(armed.files[0])]) is None
+    assert guard.how_left() == "source: off, read back by the guard"
+
+
+def an_armed(folder: Path) -> Armed:
+    file = str(folder / "bench.armed")
+    return Armed((file,), "stand-in", ("source",), str(folder / "guard.jsonl"), "", Holder.myself())
+
+
+def test_nothing_of_the_working_folder_is_imported(
+    instrument: Instrument, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "serial.py").write_text('raise SystemExit("a serial.py of the working folder was executed")')
+    monkeypatch.chdir(tmp_path)
+    with Guard.start() as guard:
+        guard.arm([charge(instrument)], log=tmp_path / "guard.jsonl")
+        guard.disarm()
 
 
 def test_a_guard_that_was_disarmed_leaves_the_instrument_alone(instrument: Instrument, tmp_path: Path) -> None:

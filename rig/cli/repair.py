@@ -213,15 +213,18 @@ def _title(what: str, work: Opened) -> str:
 
 
 def groups_text(groups: Iterable[Group]) -> list[str]:
-    """The table of errors by group of rows, SI."""
+    """The table of errors by group of rows, SI, or per cent of powers."""
+    from rig.fit.quality import relative
+
     rows = list(groups)
     width = max((len(one.name) for one in rows), default=0)
     lines = [f"  {'':<{width}}  {'error':>9}  {'noise':>9}  {'ratio':>7}  {'held out: error':>15}  {'ratio':>7}"]
     for one in rows:
+        unit, scale = relative(one.unit)
+        error, noise, later = (scale * value for value in (one.error, one.noise, one.heldout_error))
         few = not math.isfinite(one.heldout_ratio)
-        held = f"{'too few':>15}  {'':>7}" if few else f"{one.heldout_error:>15.3g}  {one.heldout_ratio:>7.3g}"
-        fitted = f"{one.error:>9.3g}  {one.noise:>9.3g}  {one.ratio:>7.3g}"
-        lines.append(f"  {one.name:<{width}}  {fitted}  {held}  {one.unit}".rstrip())
+        held = f"{'too few':>15}  {'':>7}" if few else f"{later:>15.3g}  {one.heldout_ratio:>7.3g}"
+        lines.append(f"  {one.name:<{width}}  {error:>9.3g}  {noise:>9.3g}  {one.ratio:>7.3g}  {held}  {unit}".rstrip())
     return lines
 
 
@@ -394,13 +397,15 @@ def verdict_text(said: Conclusion) -> str:
 
 def _undecided(said: Conclusion, errors: str) -> Iterator[str]:
     """Why nothing stands out, and the model is not called adequate all the same."""
+    from rig.fit.quality import with_unit
+
     if wrong := [one.in_words for one in said.faults if one.misread]:
         more = f" and {len(wrong) - FEW} more" if len(wrong) > FEW else ""
         yield f"{errors}; axes are not those of the manifest, so no effect was looked for: mend it and import again"
         yield f"{'; '.join(wrong[:FEW])}{more}"
         return
     if said.untold:
-        sizes = ", ".join(f"{one.error:.3g} {one.unit} ({one.name})" for one in said.untold)
+        sizes = ", ".join(f"{with_unit(one.error, one.unit)} ({one.name})" for one in said.untold)
         yield f"error is {sizes}"
         yield f"whether that is noise cannot be told: {_to_know(said.untold)}"
     else:
@@ -602,7 +607,7 @@ def _errors_text(made: Repaired) -> list[str]:
     ]
     if after.action == "remove" or not before.worst_at:
         return [*lines, *_worst_now(after)]
-    was, now = _worst_of(before), made.at(before.worst_at)
+    was, now = before.place, made.at(before.worst_at)
     lines.append(f"  where it was worst ({was.where}): {ratio_text(was)} -> {ratio_text(now)}")
     if math.isfinite(was.heldout) and math.isfinite(now.heldout):
         lines.append(f"  there on held-out data: {was.heldout:.3g} -> {now.heldout:.3g}")
@@ -610,15 +615,7 @@ def _errors_text(made: Repaired) -> list[str]:
 
 
 def _worst_now(step: Step) -> list[str]:
-    return [f"  where it is worst: {place_text(_worst_of(step))}"] if step.worst_at else []
-
-
-def _worst_of(step: Step) -> Place:
-    """Where a step of the history says that its error is largest."""
-    from rig.fit.quality import Place
-
-    values = [math.nan if one is None else one for one in (step.worst, step.worst_heldout, step.worst_error)]
-    return Place(step.worst_at, values[0], values[1], values[2], step.worst_unit)
+    return [f"  where it is worst: {place_text(step.place)}"] if step.worst_at else []
 
 
 @click.command()
@@ -670,7 +667,7 @@ def history_text(steps: Sequence[Step]) -> list[str]:
     lines = [f"  {'':>2}  {'':<{width}}  {'  '.join(f'{head:>8}' for head in heads)}  runs  where it is worst"]
     for number, (step, name) in enumerate(zip(steps, names, strict=True), 1):
         values = (step.error, step.heldout, step.worst, step.worst_heldout, step.noise, step.chi2_dof)
-        table, size = "  ".join(f"{_number(value):>8}" for value in values), _worst_of(step).size
+        table, size = "  ".join(f"{_number(value):>8}" for value in values), step.place.size
         worst = f"{step.worst_at}{f': {size}' if size else ''}"
         lines.append(f"  {number:>2}  {name:<{width}}  {table}  {len(step.runs):>4}  {worst}".rstrip())
     return lines

@@ -19,6 +19,18 @@ from rig.fit.adequacy import FEWEST_HELD, Group
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
 from rig.parts.remainder import Mask
+from rig.printed import SHOWN
+
+
+def with_unit(value: float, unit: str) -> str:
+    """A size in SI to three digits, per cent where it has no unit."""
+    shown, scale = relative(unit)
+    return f"{scale * value:.3g} {shown}"
+
+
+def relative(unit: str) -> tuple[str, float]:
+    """What an SI unit is called beside a size, and how many of it make one: per cent for no unit, else itself."""
+    return SHOWN["1"] if unit == "1" else (unit, 1.0)
 
 
 @dataclass(frozen=True)
@@ -36,7 +48,7 @@ class Place:
     @property
     def size(self) -> str:
         """The error with its unit, "" where it has none."""
-        return f"{self.error:.3g} {self.unit}" if math.isfinite(self.error) else ""
+        return with_unit(self.error, self.unit) if math.isfinite(self.error) else ""
 
 
 @dataclass(frozen=True)

@@ -249,7 +249,7 @@ class NoiseSpectrum(Part):
         there = self._added(self.data.trained, rest.local, self.here(rest.terms))
         for words, power in SHAPES.items():
             removed = self._levels.removed(power, GRID[::4], there).max(axis=0)
-            yield f"up to {most:.2g} times the data sheet's, {words}", {row: float(removed[row]) for row in rows}
+            yield f"up to {most:.3g} times the data sheet's, {words}", {row: float(removed[row]) for row in rows}
 
     def faintest(self, effect: Effect) -> Iterator[str]:
         for on in effect.quantities if self.acts(effect) and not effect.looks_in else ():

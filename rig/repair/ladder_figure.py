@@ -45,8 +45,8 @@ def figure(model: Model) -> Figure:
     there = [float("nan") if step.worst_heldout is None else step.worst_heldout for step in steps]
     ax.plot(at, there, "v", color=WORST, fillstyle="none", label="there, held-out data")
     for place, step in zip(at, steps, strict=True):
-        if step.worst is not None and step.worst_error is not None:
-            ax.annotate(f"{step.worst_error:.2g} {step.worst_unit}", (place, step.worst), (8, 2),
+        if step.worst is not None and step.place.size:
+            ax.annotate(step.place.size, (place, step.worst), (8, 2),
                         textcoords="offset points", ha="left", fontsize=7, color=WORST)  # fmt: skip
     heldout = [float("nan") if step.heldout is None else step.heldout for step in steps]
     ax.plot(at, heldout, "s--", color=HELD_OUT, label="held-out data, predicted")

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from rig.fit.evidence import Evidence
     from rig.fit.fit import Fit
     from rig.fit.parameters import Estimate
-    from rig.fit.quality import Errors
+    from rig.fit.quality import Errors, Place
 
 Start = Literal["datasheet", "paper", "shared"]
 Action = Literal["start", "add", "remove", "fit"]
@@ -160,6 +160,14 @@ class Step(Strict):
     def where(self) -> str:
         """On which channels, where that was said."""
         return ", ".join(self.channels or ()) or self.on or ""
+
+    @property
+    def place(self) -> Place:
+        """Where the error was largest."""
+        from rig.fit.quality import Place
+
+        values = [math.nan if one is None else one for one in (self.worst, self.worst_heldout, self.worst_error)]
+        return Place(self.worst_at, values[0], values[1], values[2], self.worst_unit)
 
 
 class Model(Strict):

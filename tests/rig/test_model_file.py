@@ -16,6 +16,7 @@ from rig.diagnose.conclusion import conclude
 from rig.diagnose.misfit import compare
 from rig.errors import BadInput, ConfigError
 from rig.fit.parameters import estimates
+from rig.fit.quality import Place
 from rig.formula import own_term
 from rig.model import Term
 from rig.repair import repair
@@ -84,7 +85,8 @@ def test_compare_diagnose_and_history_say_one_error_to_the_printed_digit() -> No
         assert (step.worst_at, f"{step.worst:.3g}") == (found.worst.where, f"{found.worst.ratio:.3g}")
         there = math.nan if step.worst_heldout is None else step.worst_heldout  # nothing of a spectrum is held out
         assert f"{there:.3g}" == f"{found.worst.heldout:.3g}"
-        assert f"{step.worst_error:.3g} {step.worst_unit}" == found.worst.size
+        assert step.place.size == found.worst.size
+        assert (step.worst_error, step.worst_unit) == (pytest.approx(found.worst.error), found.worst.unit)
     assert said.taken[0].effect == "cubic"
     assert f"{said.error:.4g}, {said.after:.4g}" == f"{start.error:.4g}, {add.error:.4g}"
     assert f"{said.taken[0].error_after:.4g}" == f"{add.error:.4g}"
@@ -92,6 +94,12 @@ def test_compare_diagnose_and_history_say_one_error_to_the_printed_digit() -> No
     assert said.worst.size == before.errors.worst.size
     assert repaired().at(start.worst_at).ratio == pytest.approx(said.worst_after.ratio, rel=1e-3)
     assert said.worst_after.heldout < 1.5 < said.worst.heldout
+
+
+def test_what_has_no_unit_is_said_in_per_cent() -> None:
+    assert Place("", 2.0, 1.0, 0.00249, "1").size == "0.249 %"
+    assert Place("", 2.0, 1.0, 0.00249, "m/s²").size == "0.00249 m/s²"
+    assert Place("", 2.0).size == ""
 
 
 def test_the_error_where_it_is_worst_is_its_ratio_times_the_noise_of_those_rows() -> None:

@@ -242,6 +242,10 @@ class Effect:
         """Complex factor beside the output filter, shape of `frequency` (Hz)."""
         return np.ones(frequency.shape, np.complex128)
 
+    def leaks(self, at: Values) -> float:
+        """Corner of a first-order high-pass by which slow signals leak away, Hz; its memory may outlast a record."""
+        return 0.0
+
     def output(
         self, signal: NDArray[np.inexact], zero: Array, motion: Motion, channels: Channels, at: Values
     ) -> tuple[NDArray[np.inexact], Array]:
@@ -379,7 +383,7 @@ def _arriving(
     """The motion of the case, and what arrives behind every channel's filters, SI."""
     shaping, filtering = (
         tuple((t.effect, t.on, t.only, *t.at.values()) for t in terms if any(_has(t.effect, hook) for hook in hooks))
-        for hooks in (("motion", "felt", "transduce"), ("response",))
+        for hooks in (("motion", "felt", "transduce"), ("response", "leaks"))
     )
 
     def taken() -> tuple[Motion, NDArray[np.inexact]]:
@@ -390,7 +394,12 @@ def _arriving(
 
     def passed() -> tuple[Motion, NDArray[np.inexact]]:
         moved, signal = memory.of((channels.names, shaping), shown, taken)
-        return moved, moved.grid.passed(signal, _response(channels, local, terms, moved.grid))
+        signal = moved.grid.passed(signal, _response(channels, local, terms, moved.grid))
+        for term in terms:
+            here, corner = term.among(channels), term.effect.leaks(term.at)
+            if corner and len(here):
+                signal[here] = moved.grid.leaked(signal[here], corner)
+        return moved, signal
 
     return memory.of((channels.names, shaping, filtering, local.pole.tobytes()), shown, passed)
 

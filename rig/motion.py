@@ -58,6 +58,10 @@ class Grid(Protocol):
         """What is seen of a signal after such a system."""
         return self.passed(self.taken(signal), response)
 
+    def leaked(self, observed: NDArray[np.inexact], corner: float) -> NDArray[np.inexact]:
+        """What is left of what is seen behind a first-order high-pass with this corner, Hz."""
+        ...
+
     def plain(self, signal: Array) -> NDArray[np.inexact]:
         """What is seen of a signal itself."""
         ...
@@ -89,6 +93,11 @@ class Periods(Grid):
     def passed(self, taken: NDArray[np.inexact], response: Response) -> Complexes:
         return np.asarray(taken * response(self.harmonics))
 
+    def leaked(self, observed: NDArray[np.inexact], corner: float) -> Complexes:
+        """A mean is the zero output's, which is free anyway, and stays as it is."""
+        f = np.where(self.harmonics > 0.0, self.harmonics, math.inf)
+        return np.asarray(observed / (1.0 - 1j * corner / f))
+
     def plain(self, signal: Array) -> Complexes:
         return np.ascontiguousarray(signal @ _transforms(self.phases)[0]).view(np.complex128)
 
@@ -106,10 +115,15 @@ class Periods(Grid):
 
 @dataclass(frozen=True)
 class Stretches(Grid):
-    """Records one after the other: `interval` s between instants, `bounds` of each record among them."""
+    """Records one after the other: `interval` s between instants, `bounds` of each record among them.
+
+    `lines`: of every record the line of time it belongs to and the place of its first instant on that, in intervals;
+    left out, each has one of its own. What has a long memory begins where a line does, at rest with what is there.
+    """
 
     interval: float
     bounds: tuple[tuple[int, int], ...]
+    lines: tuple[tuple[int, int], ...] = ()
 
     def taken(self, signal: Array) -> Array:
         return signal
@@ -138,6 +152,27 @@ class Stretches(Grid):
         """Zero, nearly zero, and the lines of every length of transform one after the other, Hz."""
         lengths = dict.fromkeys(length for length, _ in self._transforms)
         return np.concatenate([[0.0, NEARLY_STILL], *(np.fft.rfftfreq(one, self.interval) for one in lengths)])
+
+    def leaked(self, observed: NDArray[np.inexact], corner: float) -> Array:
+        """Along every line of time; between its records a signal goes straight on."""
+        signal = np.asarray(observed, np.float64)
+        found = signal.copy()
+        for places, at in self._on_lines:
+            whole = np.arange(at[-1] + 1)
+            here = np.array([np.interp(whole, at, one) for one in signal[..., places].reshape(-1, len(at))])
+            slow = _followed(here - here[:, :1], abs(corner) * 2.0 * math.pi * self.interval)[:, at] + here[:, :1]
+            found[..., places] -= math.copysign(1.0, corner) * slow.reshape(found[..., places].shape)
+        return found
+
+    @cached_property
+    def _on_lines(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Instants of every line of time, and their places on it."""
+        found: dict[int, list[tuple[NDArray[np.intp], NDArray[np.intp]]]] = {}
+        lines = self.lines or tuple((number, 0) for number in range(len(self.bounds)))
+        for (begin, end), (line, first) in zip(self.bounds, lines, strict=True):
+            found.setdefault(line, []).append((np.arange(begin, end), first + np.arange(end - begin)))
+        joined = [tuple(map(np.concatenate, zip(*one, strict=True))) for one in found.values()]
+        return [(places, at - at[0]) for places, at in joined]
 
     def plain(self, signal: Array) -> Array:
         """The mean over a window of what is given at its middle: fast signals lose by it."""
@@ -234,6 +269,20 @@ class Motion:
         size = np.abs(self.along[:, 1])
         first[:, 1] = -self.source * self.along[:, 1] / np.where(size > 0.0, size, 1.0)
         return self.sines.waveform(first)
+
+
+def _followed(signal: Array, step: float) -> Array:
+    """What follows signals (k, n) from nought with a time constant of 1/step intervals, exact for straight pieces: a
+    convolution with e^(−step·n), by a transform.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    count, kept = signal.shape[-1], math.exp(-step)
+    mean = -math.expm1(-step) / step if step > 0.0 else 1.0
+    later = (kept * (1.0 - mean) + mean - kept) * kept ** np.arange(count - 1)
+    kernel = np.concatenate([[1.0 - mean], later])
+    length = int(next_fast_len(2 * count, real=True))
+    return np.asarray(irfft(rfft(signal, length) * rfft(kernel, length), length)[..., :count])
 
 
 def rigid(motion: Motion, arm: Array) -> Array:

@@ -25,7 +25,7 @@ from rig.parts.formulas import OF_PLATTER
 from rig.parts.laws import scored
 from rig.parts.part import ALLOWANCE, Option, Origin, Part
 from rig.parts.platter_cuts import Rows
-from rig.parts.platter_records import PlatterRecords
+from rig.parts.platter_records import PlatterRecords, lines_of
 from rig.parts.reference_motion import REMEMBERED, reference_key, true_motion, turns
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.signals.blocks import spread, unmixed
@@ -50,7 +50,7 @@ class Platter(Part):
         super().__init__(data.name, data.run, data.channels, width, notes=data.notes)
         self.data, self.of = data, Rows(data)
         self.logged = logged(temperature=data.temperature, supply=data.supply)
-        self.grid = Stretches(data.interval, data.records)
+        self.grid = Stretches(data.interval, data.records, lines_of(data))
         self._moved: dict[tuple[object, ...], Motion] = {}
         self._memory = Memory()
         # what was drawn last: from which state of the generator, noise, its rows, and the generator's state behind it

@@ -54,6 +54,22 @@ class PlatterRecords:
     since: float | None = None  # s, when the first record of its session began; None: that of its own
 
 
+def lines_of(data: PlatterRecords) -> tuple[tuple[int, int], ...]:
+    """Of every record the mounting, and when it began, in intervals from its first record's beginning; records do not
+    overlap.
+    """
+    found: list[tuple[int, int]] = []
+    line, origin, end, before = -1, 0.0, 0, np.zeros(0)
+    for first, last in data.records:
+        mounted = np.concatenate([data.up[:, first], data.outward[:, first], [float(data.radius[first])]])
+        if not np.array_equal(mounted, before):
+            line, origin, end, before = line + 1, float(data.time[first]), 0, mounted
+        begin = max(round((float(data.time[first]) - origin) / data.interval), end)
+        found.append((line, begin))
+        end = begin + last - first
+    return tuple(found)
+
+
 def only_stretches(data: PlatterRecords, seconds: float) -> PlatterRecords:
     """The same with stretches of about this length."""
     return replace(data, stretches=stretches_of(data.records, data.interval, seconds, data.counted.rate))

@@ -54,6 +54,10 @@ class Still(Grid):
         """A constant signal passes with the response at zero frequency."""
         return np.asarray(taken * response(np.zeros(1))[..., :1].real)
 
+    def leaked(self, observed: NDArray[np.inexact], corner: float) -> Array:
+        """Nothing: it has been constant for ever."""
+        return np.zeros(observed.shape)
+
     def plain(self, signal: Array) -> Array:
         return signal
 

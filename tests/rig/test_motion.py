@@ -174,3 +174,27 @@ def one_record(signal: Array, pole: float) -> Array:
     turned = np.fft.irfft(np.fft.rfft(signal - line, whole) * passed, whole)[:count]
     late = (1.0 / (1.0 + 1e-3j / pole)).imag / (2.0 * math.pi * 1e-3)
     return np.asarray(turned + line + slope / INTERVAL * late)
+
+
+def test_what_leaks_away_is_remembered_from_record_to_record_of_a_line_of_time() -> None:
+    """A step that a first-order high-pass forgets as e^(−t/τ), seen in two records with a second between them."""
+    corner = 0.2
+    settling = 1.0 / (2.0 * math.pi * corner)
+    time = np.concatenate([np.arange(300), np.arange(400, 700)]) * INTERVAL
+    stepped = 3.0 + 2.0 * (time >= 1.0)
+    grid = Stretches(INTERVAL, ((0, 300), (300, 600)), ((0, 0), (0, 400)))
+    expected = np.where(time >= 1.0, 2.0 * np.exp(-(time - 1.0) / settling), 0.0)
+    found = grid.leaked(np.array([stepped, -stepped]), corner)
+    assert found == pytest.approx(np.array([expected, -expected]), abs=2.0 * INTERVAL / settling)
+    apart = Stretches(INTERVAL, ((0, 300), (300, 600))).leaked(stepped[None], corner)[0]
+    assert np.all(apart[300:] == pytest.approx(0.0, abs=1e-12))  # another mounting: it has stood there for long
+
+
+def test_a_sine_behind_a_high_pass_is_the_same_on_both_grids() -> None:
+    f, corner = 0.5, 0.2
+    time = np.arange(4000) * INTERVAL
+    found = Stretches(INTERVAL, ((0, 4000),)).leaked(np.sin(2.0 * math.pi * f * time)[None], corner)[0]
+    whole = time > time[-1] - 10.0 / f
+    seen = 2.0 * np.mean(found[whole] * np.exp(-2j * math.pi * f * time[whole]))
+    one = Periods(np.array([f])).leaked(np.array([[0.0, -1j, 0.0, 0.0, 0.0, 0.0]]), corner)[0, 1]
+    assert seen == pytest.approx(one, abs=2e-3)

@@ -42,9 +42,10 @@ ON_SHAKER = [
     if "shaker" in SHELF.kind(name).benches and name not in LOOKED_AT | REFERENCE | {"mains_hum"}
 ]  # fmt: skip
 ON_TURNTABLE = [
-    name for name in SHELF.names
+    name
+    for name in SHELF.names
     if "turntable" in SHELF.kind(name).benches and name not in LOOKED_AT | DISK | {"mains_hum"}
-]  # fmt: skip
+] + ["high_pass"]  # its strength is counted on the shaker
 Lines = np.ndarray[Any, np.dtype[np.complex128]]
 
 

@@ -36,6 +36,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
@@ -350,15 +351,18 @@ def main() -> int:
 
 def _stand_guard(pipe: Pipe, orders: Orders) -> int:
     log = orders.log
+    standby = Standby(orders.duties, log)
     log.write("armed", instruments=[duty.name for duty in orders.duties], pid=os.getpid())
     _say("armed")
     because = _watch(pipe)
     if because is None:
+        standby.dismiss()
         orders.clear()
         log.write("disarmed")
         return _DISARMED
+    standby.go()
     log.write("acting", because=because)
-    left = _make_safe(orders.duties, log)
+    left = _make_safe(standby, log)
     if left:
         if orders.armed is not None:
             with contextlib.suppress(OSError):  # what was written before says enough
@@ -371,11 +375,15 @@ def _stand_guard(pipe: Pipe, orders: Orders) -> int:
 
 
 def _warm_up() -> None:
-    """Import beforehand what is slow to import, so that acting takes milliseconds."""
-    import pyvisa
-    import serial  # noqa: F401
+    """Load beforehand what the first link loads, and go before others, so that acting takes milliseconds."""
+    _rehearse()
+    with contextlib.suppress(OSError):  # where the system lets us
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
 
-    pyvisa.ResourceManager("@py")
+
+def _rehearse() -> None:
+    """Have a link with nobody: what the first one loads, and the memory that a new process has to make its own."""
+    importlib.import_module("drivers.links").rehearse(Room(SystemClock(), _Nobody()))
 
 
 def _duty(charge: Charge) -> Duty:
@@ -413,25 +421,70 @@ def _watch(pipe: Pipe) -> str | None:
         until = min(due, time.monotonic() + SILENCE)
 
 
-def _make_safe(duties: Sequence[Duty], log: GuardLog) -> list[str]:
-    """Round after round over what is not safe yet, until all is or the time is up; what is left."""
+def _make_safe(standby: Standby, log: GuardLog) -> list[str]:
+    """After what has begun, round after round over what is not safe yet, until all is or time is up; what is left."""
     until = time.monotonic() + _TRY_FOR
-    left = list(duties)
-    while True:
-        left = [duty for duty in left if not _attempted(duty, log)]
-        if not left or time.monotonic() > until:
-            return [duty.name for duty in left]
+    left = standby.left()
+    while left and time.monotonic() < until:
         time.sleep(_PAUSE)
+        left = [duty for duty in left if not _ended_well(duty, _attempt(duty.act, log), time.monotonic(), log)]
+    return [duty.name for duty in left]
 
 
-def _attempted(duty: Duty, log: GuardLog) -> bool:
-    """One attempt, in a child process; whether the instrument is safe now.
+class Standby:
+    """The first attempt at each instrument, as a child process that waits to begin: making one takes longer.
 
-    A link that hangs or a driver that crashes then costs one attempt, and no other instrument its safe state.
+    An attempt is a process of its own, so that a link that hangs or a driver that crashes costs that attempt, and no
+    other instrument its safe state.
     """
-    child = multiprocessing.get_context("fork").Process(target=duty.act, args=(log,))
+
+    def __init__(self, duties: Sequence[Duty], log: GuardLog) -> None:
+        self._duties, self._log, self._begun = duties, log, 0.0
+        pipes = [os.pipe() for _ in duties]
+        self._go = [write for _, write in pipes]
+        self._children = [_attempt(self._wait, read, duty) for duty, (read, _) in zip(duties, pipes, strict=True)]
+        for read, _ in pipes:
+            os.close(read)
+
+    def go(self) -> None:
+        """Begin, all at once."""
+        self._begun = time.monotonic()
+        for write in self._go:
+            with contextlib.suppress(OSError):  # one that died waiting counts as a failed attempt
+                os.write(write, b"go")
+
+    def left(self) -> list[Duty]:
+        """What is not safe when all have ended."""
+        attempts = zip(self._duties, self._children, strict=True)
+        return [duty for duty, child in attempts if not _ended_well(duty, child, self._begun, self._log)]
+
+    def dismiss(self) -> None:
+        """There is nothing to do for them."""
+        self._close()
+        for child in self._children:
+            child.join()
+
+    def _close(self) -> None:
+        for write in self._go:
+            os.close(write)
+
+    def _wait(self, read: int, duty: Duty) -> None:
+        self._close()  # of our own copies, or the end of the guard would not be seen
+        _rehearse()
+        if os.read(read, 2):
+            duty.act(self._log)
+
+
+def _attempt(act: Callable[..., None], *words: object) -> BaseProcess:
+    """A child process that does this."""
+    child = multiprocessing.get_context("fork").Process(target=act, args=words)
     child.start()
-    child.join(_ATTEMPT)
+    return child
+
+
+def _ended_well(duty: Duty, child: BaseProcess, begun: float, log: GuardLog) -> bool:
+    """Whether an attempt that began then has made its instrument safe; it is given up after a while."""
+    child.join(max(begun + _ATTEMPT - time.monotonic(), 0.0))
     if child.exitcode is None:
         log.write("attempt hung", instrument=duty.name)
         child.kill()

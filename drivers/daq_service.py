@@ -5,9 +5,12 @@ port, and the board's own descriptor, read whenever it has something. Acquisitio
 bounded queue, and a client that lets it fill ends its run with a flag. There is no authentication: listen on loopback
 (the default) or on a private interface only.
 
-Choices where the page is silent: `CONF:CHAN` keeps the conversion period, so that it can never be out of range; the
-newest data connection takes the place of an idle one, and is closed at once while a run is under way; a run whose data
-connection closes is stopped; after `ABOR` what the board had ready is still sent.
+The first control connection that changes something owns the board until it closes; others may ask, and take data
+connections to watch.
+
+Choices where the page is silent: `CONF:CHAN` keeps the conversion period, so that it can never be out of range; a run
+whose owner's data connection closes is stopped; after `ABOR` what the board had ready is still sent; what comes beyond
+`CONNECTIONS` of a kind is closed at once.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ import asyncio
 import errno
 import json
 import logging
+import re
+import select
 import signal
 import socket
 import struct
@@ -40,9 +45,17 @@ DEFAULT_NS = 20_000
 QUEUE = 32 << 20
 """Bytes that may wait for the client: five minutes at 100 kB/s."""
 
+WATCHED = 4 << 20
+"""Bytes that may wait for one who only watches, before it is hung up on."""
+
+CONNECTIONS = 16
 LONGEST_LINE = 1024
+WHOLE, NUMBER = re.compile(r"[+-]?[0-9]{1,12}"), re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{0,12})?([eE][+-]?[0-9]{1,2})?")
 HEARTBEAT_EVERY = 1.0  # s
 KEEPALIVE = 10  # s after which a silent client is probed
+
+CHANGING = frozenset({"CONF:CHAN", "CONF:RANG", "CONF:RATE", "INIT", "ABOR"})
+"""What only the owner may say."""
 
 LOG = logging.getLogger(__name__)
 
@@ -116,7 +129,9 @@ class Service:
         self._run = self._sent = 0
         self._state = "IDLE"
         self._odd = b""
-        self._data: Data | None = None
+        self._owner: Control | None = None
+        self._connections: list[Data] = []
+        self._data: Data | None = None  # of the run's owner
         self._errors: deque[str] = deque(maxlen=30)
         self._commands: Mapping[str, Callable[[str], str]] = {
             "*IDN?": lambda _: f"{MAKER},{board.name.upper()},{board.serial},{VERSION} ({board.driver})",
@@ -131,34 +146,66 @@ class Service:
             "SYST:ERR?": lambda _: self._errors.popleft() if self._errors else '0,"No error"',
         }
 
-    def answer(self, line: str) -> str:
+    def answer(self, line: str, asker: Control) -> str:
         """The answer to one line, both without line feed."""
         word, _, parameter = line.strip().partition(" ")
         try:
             command = self._commands.get(word.upper())
             if command is None:
                 raise RefusalError(-100, f"Unknown command {word[:40]}")
+            if word.upper() in CHANGING:
+                self._own(asker)
             return f"OK {command(parameter.strip())}".rstrip()
         except RefusalError as refused:
             self._errors.append(str(refused))
             return f"ERR {refused}"
 
     def came(self, connection: Data) -> None:
-        """A data connection was made."""
-        if self._data is not None:
-            if self._state == "RUNNING":
-                connection.end()
-                return
-            self._data.end()
-        self._data = connection
+        """A data connection was made; while a run is under way it may watch, and is told what it sees."""
+        if len(self._connections) >= CONNECTIONS:
+            connection.end()
+            return
+        self._connections.append(connection)
+        if self._state == "RUNNING":
+            connection.send(self._frame(METADATA, json.dumps(self._metadata()).encode(), 0))
 
     def went(self, connection: Data) -> None:
-        """A data connection is gone, and with it the run."""
+        """A data connection is gone, and with that of the owner the run."""
+        if connection in self._connections:
+            self._connections.remove(connection)
         if connection is self._data:
             self._data = None
             if self._state == "RUNNING":
                 LOG.warning("run %d: the client is gone", self._run)
                 self._finish("IDLE", None)
+
+    def gone(self, asker: Control) -> None:
+        """A control connection is gone; if it owned the board, the board is free."""
+        if asker is self._owner:
+            self._owner = None
+
+    def _own(self, asker: Control) -> None:
+        """Only the owner changes anything; whoever is first is the owner."""
+        if self._owner is None or self._owner.hung_up:
+            self._owner = asker
+        if asker is not self._owner:
+            raise RefusalError(-203, f"Command protected: the board is owned by {self._owner.peer[0]}")
+
+    def _its_data(self, port: int | None) -> Data | None:
+        """The owner's data connection: that from this port of its host, else the newest from there."""
+        assert self._owner is not None
+        host = self._owner.peer[0]
+        mine = [one for one in self._connections if one.peer[0] == host and port in (None, one.peer[1])]
+        return mine[-1] if mine else None
+
+    def _send(self, frame: bytes) -> None:
+        """To the owner, and to all that watch and read what they get."""
+        for one in tuple(self._connections):
+            if one is self._data or one.waiting <= WATCHED:
+                one.send(frame)
+            else:
+                LOG.warning("one that watches does not read")
+                one.cut()
 
     def heartbeat(self) -> bytes:
         """A frame that says only that the service is alive."""
@@ -190,10 +237,9 @@ class Service:
         self._refuse_while_running()
         if not parameter:
             raise RefusalError(-109, "Missing parameter")
-        try:
-            rate = float(parameter)
-        except ValueError:
-            raise RefusalError(-222, "Out of range: wanted scans per second") from None
+        if not NUMBER.fullmatch(parameter):
+            raise RefusalError(-222, "Out of range: wanted scans per second")
+        rate = float(parameter)
         one = self._setup
         if not 1e-3 <= rate * one.width <= 1e9 / FASTEST_NS:
             raise RefusalError(-222, f"Out of range: wanted at most {1e9 / FASTEST_NS:g} conversions per second")
@@ -208,9 +254,10 @@ class Service:
         self._setup = Setup(first, last, gain, convert_ns)
 
     def _init(self, parameter: str) -> str:
-        (scans,) = self._integers(parameter, 1)
+        scans, *port = self._integers(parameter, 1, 2)
         if not 0 <= scans < 1 << 32:
             raise RefusalError(-222, "Out of range: wanted 0 or more scans")
+        self._data = self._its_data(port[0] if port else None)
         if self._data is None:
             raise RefusalError(-241, "No data connection")
         one = self._setup
@@ -220,7 +267,7 @@ class Service:
         except InstrumentError as error:
             raise RefusalError(-240, f"Board failure: {error}") from error
         self._run, self._sent, self._odd, self._state = self._run + 1, 0, b"", "RUNNING"
-        self._data.send(self._frame(METADATA, json.dumps(self._metadata()).encode(), 0))
+        self._send(self._frame(METADATA, json.dumps(self._metadata()).encode(), 0))
         asyncio.get_running_loop().add_reader(self._board.fileno(), self._readable)
         return str(self._run)
 
@@ -264,15 +311,15 @@ class Service:
             return
         codes = np.frombuffer(payload, np.uint16)
         clipped = bool(codes.min() == 0 or codes.max() == 65535)
-        self._data.send(self._frame(SAMPLES, codes.astype("<u2", copy=False).tobytes(), CLIPPED * clipped))
+        self._send(self._frame(SAMPLES, codes.astype("<u2", copy=False).tobytes(), CLIPPED * clipped))
         self._sent += len(codes)
 
     def _finish(self, state: str, flags: int | None) -> None:
         """The run is over; `flags` besides LAST of the last frame, None if nobody is there to get one."""
         asyncio.get_running_loop().remove_reader(self._board.fileno())
         self._state = state
-        if flags is not None and self._data is not None:
-            self._data.send(self._frame(SAMPLES, b"", LAST | flags))
+        if flags is not None:
+            self._send(self._frame(SAMPLES, b"", LAST | flags))
         try:
             self._board.cancel()
         except InstrumentError as error:
@@ -311,12 +358,12 @@ class Service:
         crc = zlib.crc32(payload, zlib.crc32(head + bytes(4)))
         return b"".join((head, struct.pack("<I", crc), payload))
 
-    def _integers(self, parameter: str, count: int) -> list[int]:
+    def _integers(self, parameter: str, count: int, most: int | None = None) -> list[int]:
         self._refuse_while_running()
-        parts = parameter.split(",") if parameter else []
+        parts = [part.strip() for part in parameter.split(",")] if parameter else []
         if len(parts) < count:
             raise RefusalError(-109, "Missing parameter")
-        if len(parts) > count or not all(part.strip().lstrip("+-").isdecimal() for part in parts):
+        if len(parts) > (most or count) or not all(map(WHOLE.fullmatch, parts)):
             raise RefusalError(-222, f"Out of range: wanted {count} whole numbers")
         return [int(part) for part in parts]
 
@@ -326,22 +373,45 @@ class Service:
 
 
 class Control(asyncio.Protocol):
-    """One client's lines."""
+    """One client's lines. One that does not read its answers is not heard until it does."""
 
     def __init__(self, service: Service) -> None:
         self._service, self._heard = service, b""
         self._transport: asyncio.Transport | None = None
+        self.peer: tuple[str, int] = ("", 0)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
+        self.peer = _peer(transport)
         _keep_alive(transport)
+
+    @property
+    def hung_up(self) -> bool:
+        """Whether the other end has closed, even if our loop has not come to see it."""
+        if self._transport is None:
+            return True
+        watch = select.poll()
+        watch.register(self._transport.get_extra_info("socket").fileno(), select.POLLRDHUP)
+        return bool(watch.poll(0))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._transport = None
+        self._service.gone(self)
+
+    def pause_writing(self) -> None:
+        assert self._transport is not None
+        self._transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        assert self._transport is not None
+        self._transport.resume_reading()
 
     def data_received(self, data: bytes) -> None:
         assert self._transport is not None
         *lines, self._heard = (self._heard + data).split(b"\n")
         for line in lines:
-            answer = self._service.answer(line.decode("latin-1"))
+            answer = self._service.answer(line.decode("latin-1"), self)
             self._transport.write(answer.encode("ascii", "replace") + b"\n")
         if len(self._heard) > LONGEST_LINE:
             self._transport.close()
@@ -355,6 +425,7 @@ class Data(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._beat: asyncio.TimerHandle | None = None
         self._quiet, self._ended = True, False
+        self.peer: tuple[str, int] = ("", 0)
 
     @property
     def waiting(self) -> int:
@@ -364,6 +435,7 @@ class Data(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
+        self.peer = _peer(transport)
         _keep_alive(transport)
         self._beat = asyncio.get_running_loop().call_later(HEARTBEAT_EVERY, self._heartbeat)
         self._service.came(self)
@@ -387,11 +459,23 @@ class Data(asyncio.Protocol):
         if self._transport is not None:
             self._transport.close()
 
+    def cut(self) -> None:
+        """Hang up at once; what waits is thrown away."""
+        self._ended = True
+        if self._transport is not None:
+            self._transport.abort()
+
     def _heartbeat(self) -> None:
         if self._quiet and not self.waiting:
             self.send(self._service.heartbeat())
         self._quiet = True
         self._beat = asyncio.get_running_loop().call_later(HEARTBEAT_EVERY, self._heartbeat)
+
+
+def _peer(transport: asyncio.Transport) -> tuple[str, int]:
+    """Host and port of the other end."""
+    host, port = transport.get_extra_info("peername")[:2]
+    return str(host), int(port)
 
 
 def _keep_alive(transport: asyncio.Transport) -> None:
@@ -405,8 +489,6 @@ def _keep_alive(transport: asyncio.Transport) -> None:
 
 
 def _is_readable(descriptor: int) -> bool:
-    import select
-
     return bool(select.select([descriptor], [], [], 0)[0])
 
 

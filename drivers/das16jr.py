@@ -351,7 +351,9 @@ class Das16jr:
         self.stop()
         self._open_data()
         # One scan more than will be handed out: its tag proves that the last one did not slip.
-        self._run = self._control.integers(f"INIT {0 if scans is None else scans + 1}", 1)[0]
+        assert self._data is not None
+        ours = self._data.getsockname()[1]  # which of the data connections from this host
+        self._run = self._control.integers(f"INIT {0 if scans is None else scans + 1},{ours}", 1)[0]
         self._over, self._stopping, self.metadata = False, False, {}
         self._record = Record(
             self._channels,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import signal
@@ -154,7 +155,7 @@ def test_it_names_the_board_that_comedi_found(client: das16jr.Das16jr) -> None:
         ("CONF:RANG 8", 'ERR -222,"Out of range: gain code 0…7, found 8"'),
         ("CONF:RATE", 'ERR -109,"Missing parameter"'),
         ("CONF:RATE 6251", 'ERR -222,"Out of range: wanted at most 100000 conversions per second"'),
-        ("CONF:RATE nan", 'ERR -222,"Out of range: wanted at most 100000 conversions per second"'),
+        ("CONF:RATE nan", 'ERR -222,"Out of range: wanted scans per second"'),
         ("INIT 10", 'ERR -241,"No data connection"'),
         ("INIT -1", 'ERR -222,"Out of range: wanted 0 or more scans"'),
         ("*idn?", "OK Measurement Computing,PC104-DAS16JR/16,77,rig-daq 1 (das16)"),
@@ -184,7 +185,9 @@ def test_nothing_is_changed_while_running(client: das16jr.Das16jr, line: Line) -
     client.configure(rate=3125.0, channels=NAMES)
     client.start(None)
     for command in ("CONF:CHAN 0,1", "CONF:RANG 1", "CONF:RATE 100", "INIT 5"):
-        assert line.ask(command) == 'ERR -200,"Refused while running"'
+        with pytest.raises(SettingRefused, match=r"-200,.Refused while running"):
+            client._control.query(command)
+        assert line.ask(command) == 'ERR -203,"Command protected: the board is owned by 127.0.0.1"'
     assert line.ask("STAT?").startswith("OK RUNNING,")
 
 
@@ -255,18 +258,60 @@ def test_a_client_that_goes_away_frees_the_board(host: Host, line: Line) -> None
     second.close()
 
 
-def test_a_second_client_cannot_take_the_data_of_a_running_one(host: Host, client: das16jr.Das16jr) -> None:
+def test_the_board_has_one_owner_and_others_may_watch(host: Host, client: das16jr.Das16jr, line: Line) -> None:
     client.configure(rate=3125.0, channels=NAMES)
+    early = socket.create_connection(("127.0.0.1", int(line.ask("DATA?").split()[1])), 5.0)
     client.start(None)
+    late = socket.create_connection(early.getpeername(), 5.0)
     other = open_client(host)
-    with pytest.raises(SettingRefused, match="while running"):
+    with pytest.raises(SettingRefused, match=r"-203,.Command protected: the board is owned by 127\.0\.0\.1"):
         other.configure(rate=3125.0, channels=NAMES)
-    port = other._control.integers("DATA?", 1)[0]
-    stray = socket.create_connection(("127.0.0.1", port), 5.0)
-    assert stray.recv(100) == b""
-    stray.close()
-    other.close()
+    assert line.ask("ABOR").startswith("ERR -203,")
+    assert line.ask("STAT?").startswith("OK RUNNING,")
     assert len(client.read(1000).counts) == 1000
+    for watching in (early, late):
+        kinds = [frame.kind for frame in das16jr.FrameParser().feed(watching.recv(1 << 20))]
+        assert das16jr.METADATA in kinds
+        watching.close()
+    assert len(client.read(1000).counts) == 1000
+    other.close()
+    client.stop()
+    assert other._control.query("STAT?").startswith("IDLE")
+    client.close()
+    assert other.configure(rate=3125.0, channels=NAMES).channels == 16
+    other.close()
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        "CONF:CHAN +-1,2",
+        "CONF:CHAN 0,--5",
+        "CONF:RANG 1_0",
+        "INIT 5,",
+        "INIT 1,2,3",
+        f"CONF:RANG {'9' * 900}",
+        "INIT ٣",
+    ],
+)
+def test_a_number_that_is_none_is_answered(line: Line, sent: str) -> None:
+    assert line.ask(sent).startswith('ERR -222,"Out of range: wanted ')
+    assert line.ask("CONF:RATE 1_000").startswith('ERR -222,"Out of range: wanted ')
+    assert line.ask("CONF?") == "OK 0,15,0,20000"
+
+
+def test_a_client_that_does_not_read_its_answers_is_not_heard_until_it_does(host: Host, line: Line) -> None:
+    sent, line_is_full = 0, False
+    line.raw.settimeout(0.5)
+    while not line_is_full:
+        try:
+            sent += line.raw.send(b"*IDN?\n" * 10_000)
+        except TimeoutError:
+            line_is_full = True
+        assert sent < 1 << 26  # memory would grow by as much, if they were heard
+    other = Line(host)
+    assert other.ask("STAT?") == "OK IDLE,0"
+    other.close()
 
 
 # --- tapes ------------------------------------------------------------------------------------------------------------
@@ -373,6 +418,19 @@ def test_a_client_that_does_not_read_is_cut_off_and_memory_stays_bounded() -> No
         assert np.array_equal(scan_numbers(good), np.arange(conversions // 16 - (conversions % 16 == 0)))
 
     played(1_000_000, take, queue=1 << 20)
+
+
+def test_one_who_watches_and_does_not_read_is_hung_up_on_and_the_run_goes_on() -> None:
+    def take(host: Host, client: das16jr.Das16jr) -> None:
+        deaf = socket.create_connection(("127.0.0.1", client._control.integers("DATA?", 1)[0]), 5.0)
+        client.start(400_000)
+        assert len(client.read(400_000).counts) == 400_000  # 12.8 MB, of which 4 MB may wait for the deaf
+        with contextlib.suppress(ConnectionResetError):
+            while deaf.recv(1 << 20):
+                pass  # until it ends: nothing more came after it was hung up on
+        deaf.close()
+
+    played(400_001, take)
 
 
 def test_a_silent_service_sends_heartbeats_with_the_right_sum() -> None:

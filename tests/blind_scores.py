@@ -26,12 +26,20 @@ OWN = ("shaker", "turntable")  # benches; whatever else a world is of was import
 STATED = (0.0, 0.25, 0.5, 0.75, 0.9, 0.99, 1.0)  # probabilities that are counted together
 EVENS = 0.5
 POPULATIONS: Mapping[str, tuple[str, ...]] = {
-    "one effect of the shelf": ("one", "others"),
+    "one effect of the shelf": ("one", "others", "pairs", "imported_one"),
     "two effects": ("two",),
-    "an effect of no shelf": ("strangers", "unshelved"),
-    "nothing hidden": ("clean", "ripple"),
+    "an effect of no shelf": ("strangers", "unshelved", "imported_strangers"),
+    "nothing hidden": ("clean", "ripple", "imported_clean", "imported_unknown"),
+    "a fault of samples": ("faults",),
 }
 CONFIDENCE = 0.95
+REPAIRED = 1.1  # χ²/n of rows held out
+EXPRESSIBLE = (  # strangers whose law a formula of rates, forces, angle and time can be
+    "root_bias", "field_bias", "log_gain", "gain_step", "drive_squared",
+)  # fmt: skip
+FAMILY = (
+    "delay", "reference_delay", "first_order_lag", "moving_average", "butterworth_filter", "bessel_filter",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,31 @@ class Trial:
                 taken = min(EVENS, taken * min(max(self.result.get("explained", 0.0), 0.0), 1.0))
             found += [(str(name), float(value)) for name, value in step.get("stated", [[step["name"], taken]])]
         return found
+
+    @property
+    def wrong_and_sure(self) -> bool:
+        """Whether something that is not hidden was named with a probability of at least 0.9."""
+        return any(value >= SURE and name not in self.answer.names for name, value in self.stated)
+
+    @property
+    def depends_on_band(self) -> bool:
+        """Whether something that was taken is marked so."""
+        return any(step.get("depends_on_band", False) for step in self.result["steps"])
+
+    @property
+    def known(self) -> bool:
+        """Whether something else than the misfit told the noise of an imported record."""
+        return "misfit" not in self.result.get("origins", ["misfit"])
+
+    @property
+    def repaired(self) -> bool:
+        """Whether a formula was offered that leaves nothing but noise in the rows held out."""
+        found = self.result.get("repaired", {})
+        return bool(found.get("formula")) and found["held"] is not None and found["held"] <= REPAIRED
+
+    def is_said(self, verdict: str) -> bool:
+        """Whether that was the verdict."""
+        return bool(self.result["verdict"] == verdict)
 
     @property
     def imported(self) -> bool:
@@ -143,7 +176,9 @@ def rows(found: Sequence[Trial]) -> list[Row]:
         of[one.table].append(one)
     makers: dict[str, Callable[[list[Trial]], Iterator[Row]]] = {
         "clean": _clean, "ripple": _ripple, "one": _one, "two": _two, "others": _others, "unshelved": _unshelved,
-        "strangers": _strangers,
+        "strangers": _strangers, "pairs": _pairs, "imported_clean": _imported_clean,
+        "imported_unknown": _imported_unknown, "imported_one": _imported_one, "faults": _faults,
+        "imported_strangers": _imported_strangers,
     }  # fmt: skip
     made = [row for table, maker in makers.items() if of[table] for row in maker(of[table])]
     return [*made, *wrong_and_sure(found), *_times(found)]
@@ -236,13 +271,77 @@ def _unshelved(found: list[Trial]) -> Iterator[Row]:
 
 
 def _strangers(found: list[Trial]) -> Iterator[Row]:
-    def unlisted(one: Trial) -> bool:
-        return bool(one.result["verdict"] == "unlisted")
+    yield from _unlisted("strangers, d′ ≥ 20: unlisted", found)
 
-    yield _row("strangers, d′ ≥ 20: unlisted", found, unlisted, "≥ 95 %")
-    for name in dict.fromkeys((one.answer.names[0], one.answer.bench) for one in found):
-        here = [one for one in found if (one.answer.names[0], one.answer.bench) == name]
-        yield _row(f"… {name[0]}, {name[1]}", here, unlisted, "")
+
+def _unlisted(what: str, found: list[Trial]) -> Iterator[Row]:
+    """How many are said to be on no shelf, of every kind, and how many the formula that is offered repairs."""
+    yield _row(what, found, lambda one: one.is_said("unlisted"), "≥ 97 %")
+    for name, here in _by(found, lambda one: f"{one.answer.names[0]}, {one.answer.bench}"):
+        yield _row(f"… {name}", here, lambda one: one.is_said("unlisted"), "")
+    able = [one for one in found if one.answer.names[0] in EXPRESSIBLE]
+    what = "… those that a formula can express: held-out χ²/n with the formula offered ≤ 1.1"
+    yield _row(what, able, lambda one: one.repaired, "≥ 60 %")
+
+
+def _by(found: Iterable[Trial], of: Callable[[Trial], str]) -> list[tuple[str, list[Trial]]]:
+    """Trials in groups of one name, in the order of the names."""
+    made: dict[str, list[Trial]] = defaultdict(list)
+    for one in found:
+        made[of(one)].append(one)
+    return sorted(made.items())
+
+
+def _pairs(found: list[Trial]) -> Iterator[Row]:
+    yield _row("confounded pairs, d′ ≥ 20, standard run alone: exactly", found, lambda one: one.exact, "")
+    yield _row("… in a first class of ≤ 3", found, lambda one: one.in_first_class, "")
+
+
+def _imported_clean(found: list[Trial]) -> Iterator[Row]:
+    known = [one for one in found if one.known]
+    yield _row("imported, clean, noise known: adequate", known, lambda one: one.is_said("adequate"), "≥ 95 %")
+    for kind, here in _by(known, lambda one: one.answer.bench):
+        yield _row(f"… {kind}", here, lambda one: one.is_said("adequate"), "")
+    yield _row("imported, clean: an effect named", found, lambda one: bool(one.result["named"]), "≤ 1 %")
+
+
+def _imported_unknown(found: list[Trial]) -> Iterator[Row]:
+    what = "imported, clean, noise not known independently: undecided"
+    yield _row(what, found, lambda one: one.is_said("undecided"), "100 %")
+    yield _row("… an effect named", found, lambda one: bool(one.result["named"]), "≤ 1 %")
+
+
+def _imported_one(found: list[Trial]) -> Iterator[Row]:
+    strong = [one for one in found if one.answer.d_prime >= 20.0]
+    what = "imported, one effect, d′ ≥ 20: in a first class of ≤ 3"
+    yield _row(what, strong, lambda one: one.in_first_class, "≥ 95 %")
+    for kind, here in _by(strong, lambda one: one.answer.bench):
+        yield _row(f"… {kind}", here, lambda one: one.in_first_class, "")
+    for kind, here in _by(found, lambda one: one.answer.bench):
+        weak = [one for one in here if one.answer.d_prime < 20.0]
+        yield _row(f"… {kind}, d′ 10 to 20", weak, lambda one: one.in_first_class, "")
+    few = [one for one in strong if one.answer.names[0] not in FAMILY]
+    what = "… without delays, lags, averages and filters, of which more than three may look alike"
+    yield _row(what, few, lambda one: one.in_first_class, "")
+    yield _row("… exactly, all d′", found, lambda one: one.exact, "")
+    yield _row("… said to be adequate, d′ ≥ 20", strong, lambda one: one.is_said("adequate"), "")
+    right = [one for one in found if one.exact]
+    yield _row("… exact, but marked as depending on the band", right, lambda one: one.depends_on_band, "")
+
+
+def _faults(found: list[Trial]) -> Iterator[Row]:
+    yield _row("imported, faults, d′ ≥ 30: adequate", found, lambda one: one.is_said("adequate"), "≤ 1 %")
+    yield _row("… a physical effect named with p ≥ 0.9", found, lambda one: one.wrong_and_sure, "≤ 1 %")
+    for name, here in _by(found, lambda one: f"{one.answer.names[0]}, {one.answer.bench}"):
+        yield _row(f"… {name}: adequate", here, lambda one: one.is_said("adequate"), "")
+
+
+def _imported_strangers(found: list[Trial]) -> Iterator[Row]:
+    known = [one for one in found if one.known]
+    yield from _unlisted("imported, strangers, d′ ≥ 20, noise known: unlisted", known)
+    rest = [one for one in found if not one.known]
+    what = "imported, strangers, d′ ≥ 20, noise not known: unlisted or undecided"
+    yield _row(what, rest, lambda one: one.is_said("unlisted") or one.is_said("undecided"), "")
 
 
 def _times(found: Sequence[Trial]) -> Iterator[Row]:
@@ -299,14 +398,10 @@ def reliability(found: Sequence[Trial]) -> Iterator[Reliability]:
 
 def wrong_and_sure(found: Sequence[Trial]) -> Iterator[Row]:
     """Worlds in which a wrong name has a probability of at least 0.9."""
-
-    def wrong(one: Trial) -> bool:
-        return any(value >= SURE and name not in one.answer.names for name, value in one.stated)
-
     for imported, what, bar in ((False, "own bench", "≤ 1 %"), (True, "imported", "≤ 2 %")):
         here = [one for one in found if one.imported == imported]
         if here:
-            yield _row(f"a wrong name with probability ≥ {SURE}, {what}", here, wrong, bar)
+            yield _row(f"a wrong name with probability ≥ {SURE}, {what}", here, lambda one: one.wrong_and_sure, bar)
 
 
 def by_effect(found: Sequence[Trial]) -> list[tuple[str, str, str, str, str]]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import blind_imports
 import blind_worlds as worlds
 import numpy as np
 from blind_worlds import Answer, Case
@@ -22,7 +23,8 @@ from fixtures.imperfections import Beginning
 from fixtures.shelf import SHELF
 from fixtures.world import World
 from rig.diagnose import search
-from rig.diagnose.conclusion import stated
+from rig.diagnose.conclusion import conclude, stated
+from rig.diagnose.describe import describe
 from rig.diagnose.diagnose import Diagnosis, diagnose
 from rig.errors import BadInput
 from rig.fit import fit as fitting
@@ -44,10 +46,10 @@ def trial(case: Case, folder: Path) -> dict[str, Any]:
     begun = time.perf_counter()
     answer = worlds.drawn(case)
     sealed = worlds.seal(answer, folder)
-    world = worlds.world_of(answer)
     result: dict[str, Any] = {"id": case.id, "table": case.table, "bench": case.bench, "sealed": sealed}
     try:
-        result |= _tried(answer, world, case)
+        imported = case.table in worlds.IMPORTED
+        result |= import_tried(answer) if imported else _tried(answer, worlds.world_of(answer), case)
     except FAILURES as error:
         result |= {"verdict": "failed", "named": [], "steps": [], "why": f"{type(error).__name__}: {error}"}
     result["took"] = time.perf_counter() - begun
@@ -67,12 +69,41 @@ def _tried(answer: Answer, world: World, case: Case) -> dict[str, Any]:
     result = {**said(found), "load": started - loading, "seconds": ended - started}
     if case.table == "unshelved":
         result["held_out"] = held_out(evidence, found, shelf_of()[case.names[0]])
+    if case.table == "strangers" and found.verdict == "unlisted":
+        result["repaired"] = repaired(evidence, found)
     if case.table == "one" and found.verdict == "missing":
         if found.named == case.names:
             result["interval"] = interval(found, answer, begun)
         if case.number % FRESH_EVERY == 0:
             result["fresh"] = on_fresh_run(found.final, worlds.measured(world, case.bench))
     return result
+
+
+def import_tried(answer: Answer) -> dict[str, Any]:
+    """An imported record, diagnosed as `rig diagnose` does it, and what is found wrong with its samples."""
+    loading = time.perf_counter()
+    evidence = blind_imports.evidence(worlds.imported(answer))
+    started = time.perf_counter()
+    found = conclude(evidence, [], shelf_of())
+    ended = time.perf_counter()
+    result = {**said(found.diagnosis), "load": started - loading, "seconds": ended - started}
+    for number, step in enumerate(result["steps"], 1):
+        here = [one for one in found.candidates if one.step == number]
+        step["stated"] = [[one.effect, one.probability] for one in here]
+        step["only"] = [list(one.channels) for one in here if one.taken]
+        step["depends_on_band"] = any(one.depends_on_band for one in here)
+    result["faults"] = sorted({one.kind for one in found.faults})
+    result["rows"] = sum(len(one.rows) for one in found.faults)
+    result["origins"] = sorted({part.origin(name) for part in evidence.parts for name in part.row_names})
+    if found.verdict == "unlisted" and answer.table == "imported_strangers":
+        result["repaired"] = repaired(evidence, found.diagnosis)
+    return result
+
+
+def repaired(evidence: Evidence, found: Diagnosis) -> dict[str, Any]:
+    """The formula that is offered for an unlisted effect, and χ²/n of held-out rows with it; "" if none is offered."""
+    one = describe(evidence, found.final)
+    return {"formula": one.formula, "held": None if one.held is None else one.held[1]}
 
 
 def _evidence(answer: Answer, world: World) -> tuple[Evidence, float]:

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import blind_imports
 import blind_strangers
 import fast_bench
 import numpy as np
@@ -25,6 +26,7 @@ from fixtures.imperfections import Imperfection
 from fixtures.physics import Physics
 from fixtures.shelf import SHELF
 from fixtures.world import World
+from rig.foreign.tables import Foreign
 
 MAINS = 50.0
 BENCHES = ("shaker", "turntable")
@@ -45,9 +47,22 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 OTHERS: Mapping[str, tuple[str, ...]] = {  # all else that a world can hide and a standard run can show
     bench: tuple(name for name in drawing.names(bench) if name not in named) for bench, named in NAMES.items()
 }
-TABLES = ("clean", "ripple", "one", "two", "others", "unshelved", "strangers")
+OWN = ("clean", "ripple", "one", "two", "others", "unshelved", "strangers", "pairs")
+IMPORTED = ("imported_clean", "imported_unknown", "imported_one", "imported_strangers", "faults")
+TABLES = (*OWN, *IMPORTED)
+PAIRS: Mapping[str, tuple[tuple[str, str], ...]] = {  # that a standard run hardly tells apart, effects.md sections 3, 4
+    "shaker": (
+        ("delay", "first_order_lag"), ("delay", "butterworth_filter"), ("resonance", "butterworth_filter"),
+        ("saturation", "cubic"), ("temperature_scale", "supply_ratio"),
+    ),
+    "turntable": (
+        ("quadratic", "g_sensitivity"), ("encoder_eccentricity", "platen_tilt"), ("platen_tilt", "motor_pickup"),
+        ("warm_up", "temperature_bias"), ("lever_arm", "quadratic"),
+    ),
+}  # fmt: skip
 WEAKEST, STRONGEST = drawing.WEAKEST, drawing.STRONGEST
-LEAST_STRANGE, LEAST_EASY = 20.0, 30.0
+LEAST_STRANGE, LEAST_EASY, LEAST_FAULTY, LEAST_IMPORTED = 20.0, 30.0, 30.0, 10.0
+MOST_FAULTY = 300.0
 ATTEMPTS = 20
 RIPPLE = {"relative": 1e-3}
 REMOUNTS = Path(__file__).parents[1] / "procedures" / "remounts.yaml"
@@ -98,7 +113,9 @@ class Answer:
 
 def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> list[Case]:
     """All worlds of a study, with `worlds` for each effect by name and the other tables in proportion (at 30: 300
-    clean, 100 with ripple, 200 with two effects, 10 for each other effect, each off the shelf and each stranger).
+    clean, 100 with ripple, 200 with two effects, 10 for each other effect, each off the shelf and each stranger, 60 of
+    confounded pairs; of imported records 30 for each effect, stranger and fault of a kind, 120 clean of each kind, and
+    150 of those whose noise may be unknown).
     """
     third = max(round(worlds / 3), 1)
     made: dict[str, Iterator[Case]] = {
@@ -112,8 +129,27 @@ def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> lis
             Case("strangers", bench, (kind.name,), n, series, LEAST_STRANGE)
             for bench, kinds in blind_strangers.KINDS.items() for kind in kinds for n in range(third)
         ),
+        "pairs": (
+            Case("pairs", bench, (pair[n % 2],), n, series, LEAST_STRANGE)
+            for bench, pairs in PAIRS.items() for pair in pairs for n in range(max(round(worlds / 5), 2))
+        ),
+        "imported_clean": (
+            Case("imported_clean", kind, (), n, series) for kind in blind_imports.KINDS for n in range(4 * worlds)
+        ),
+        "imported_unknown": (
+            Case("imported_unknown", kind, (), n, series) for kind in blind_imports.UNKNOWN for n in range(5 * worlds)
+        ),
+        **{table: _imported(table, worlds, series) for table in ("imported_one", "imported_strangers", "faults")},
     }  # fmt: skip
     return [case for table in tables for case in made[table]]
+
+
+def _imported(table: str, worlds: int, series: str) -> Iterator[Case]:
+    weakest = {"imported_one": LEAST_IMPORTED, "imported_strangers": LEAST_STRANGE, "faults": LEAST_FAULTY}[table]
+    for number in range(worlds):
+        for kind in blind_imports.KINDS:
+            for name in blind_imports.names_of(table, kind):
+                yield Case(table, kind, (name,), number, series, weakest)
 
 
 def _each(table: str, names: Mapping[str, Sequence[str]], count: int, series: str) -> Iterator[Case]:
@@ -156,9 +192,25 @@ def drawn(case: Case) -> Answer:
 
 def _drawn(case: Case, seed: int) -> Answer:
     random = stream(seed, "blind")
+    if case.table in IMPORTED:
+        share, record = float(random.uniform()), blind_imports.Record(case.bench, seed)
+        return Answer(case.id, case.table, case.bench, seed, [_in_record(case, record, share) for _ in case.names])
     measure = strength.meter(seed, MAINS, case.bench) if case.names else None
     hidden = [_entry(case, name, random, measure) for name in case.names if measure is not None]
     return Answer(case.id, case.table, case.bench, seed, hidden)
+
+
+def _in_record(case: Case, record: blind_imports.Record, share: float) -> dict[str, Any]:
+    """What is hidden in an imported record, or planted there."""
+    (name,) = case.names
+    if case.table == "faults":
+        wanted = _between(case.weakest, MOST_FAULTY, share)
+        try:
+            _, entry = blind_imports.with_fault(record, name, wanted)
+        except ValueError:  # not in this record
+            return {"name": name, "parameters": {}, "d_prime": 0.0}
+        return {"name": name, "parameters": {}, **entry, "wanted": wanted}
+    return blind_imports.hidden(record, name, share, (case.weakest, STRONGEST))
 
 
 def _entry(
@@ -192,6 +244,20 @@ def world_of(answer: Answer) -> World:
         return with_more(fast_bench.world(answer.seed), extra)
     entries = [{"name": one["name"], "parameters": one["parameters"]} for one in answer.hidden]
     return with_more(fast_bench.world(answer.seed, entries), extra)
+
+
+def imported(answer: Answer) -> Foreign:
+    """The record with this in it, as somebody would hand it in."""
+    known = answer.table != "imported_unknown"
+    record = blind_imports.Record(answer.bench, answer.seed, known=known)
+    if not answer.hidden:
+        return record.made()
+    (entry,) = answer.hidden
+    if answer.table == "faults":
+        return blind_imports.with_fault(record, str(entry["kind"]), float(entry["wanted"]))[0]
+    return blind_imports.replace(
+        record, law=blind_imports.blind_laws.law_of(str(entry["name"])), at=entry["parameters"]
+    ).made()
 
 
 def with_more(world: World, extra: Sequence[Imperfection]) -> World:

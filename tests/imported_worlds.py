@@ -237,6 +237,11 @@ def device_columns(channels: str = "rf", **more: Any) -> list[dict[str, Any]]:
 SHOWN = tuple([f"gyro_{a}" for a in AXES] + [f"acc_{a}" for a in AXES])
 
 
+def bands_of(rate: float | None, force: float | None) -> dict[str, str]:
+    """The bands that a manifest states, Hz; what is None is left to the program."""
+    return {name: f"{one} Hz" for name, one in (("rate_band", rate), ("force_band", force)) if one is not None}
+
+
 def about(axis: int, angle: Array) -> Rotation:
     """Rotations about a case axis."""
     vectors = np.zeros((len(angle), 3))
@@ -257,16 +262,18 @@ def rotation(
     jitter: float = 1e-3,
     steps: float = math.radians(360.0 / 4096),
     rows: float = 100.0,
-    band: float = 5.0,
+    band: float | None = 5.0,
     channels: str = "rf",
     doubled: float = 0.003,
     rest: float = 0.0,
     sheet: Mapping[str, Any] | None = None,
+    disk: Callable[[Array], Array] | None = None,
 ) -> Foreign:
     """A log of an encoder with a device that turns: rows at uneven instants, stamps that are off by `jitter`, an angle
     in `steps` that wraps, and now and then a row twice. `lies` rad: how gravity lies at angle zero of a level axis.
     `sense` −1: the encoder counts against the right-hand turn. `rest` s stands still before; `sheet` is the noise of
-    every channel of the device as its manifest states it.
+    every channel of the device as its manifest states it. `disk`: what an encoder that is not true shows at an angle.
+    A `band` of None is not stated.
     """  # fmt: skip
     random = np.random.default_rng(seed)
     swung = Begun(wave(random, [1.6], (0.05, 2.5), [0.4]), rest)
@@ -291,6 +298,7 @@ def rotation(
 
     values = unit.shown(t, rate, force, seed + 1000)
     angle = sense * swung.at(t)[0]
+    angle = angle if disk is None else disk(angle)
     read = np.mod(np.round(angle / steps) * steps if steps else angle, 2.0 * math.pi)
     stamps = t + jitter * random.normal(size=len(t))
     table = np.column_stack([stamps, read, *values])
@@ -303,7 +311,7 @@ def rotation(
         turned["sense"] = stated
     made = manifest(
         "rotation", columns, [{"path": "log.csv"}], time={"column": "t", "unit": "s"}, rotation=turned,
-        compared={"rate_band": f"{band} Hz", "force_band": f"{band} Hz"},
+        compared=bands_of(band, band),
     )  # fmt: skip
     return Foreign("made", made, (Table("log", ("t", "angle", *SHOWN), table[twice], {}, False),), ())
 
@@ -355,7 +363,7 @@ def motion(
     gaps: int = 2,
     place_noise: float = 2e-4,
     turn_noise: float = 1e-3,
-    bands: tuple[float, float] = (6.0, 6.0),
+    bands: tuple[float | None, float | None] = (6.0, 6.0),
     speed: float = 1.5,
     channels: str = "rf",
 ) -> Foreign:
@@ -381,7 +389,7 @@ def motion(
     ]
     made = manifest(
         "motion", columns, [{"path": "track.csv"}], time={"column": "t", "unit": "s"}, pose={},
-        compared={"rate_band": f"{bands[0]} Hz", "force_band": f"{bands[1]} Hz"},
+        compared=bands_of(*bands),
     )  # fmt: skip
     names = ("t", *SHOWN, "qw", "qx", "qy", "qz", "px", "py", "pz")
     table = np.column_stack([t, *values, turns[:, 3], turns[:, 0], turns[:, 1], turns[:, 2], where])

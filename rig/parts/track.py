@@ -88,6 +88,9 @@ class TrackRecords:
     temperature: Array
     supply: Array
     density: Array | None = None  # of the noise of a rotation's angle about each instant, rad²/Hz, (n,)
+    coarse: Array | None = (
+        None  # standard uncertainty of the angle that a platter has which stands on a code, rad, (n,)
+    )
     jitter: float = 0.0  # standard deviation of the time stamps, as the reference shows it, s
     sampled: float = 0.0  # interval at which it was, s
     noise: tuple[DeviceNoise | None, ...] = ()  # of every channel, if it is known whatever the model
@@ -116,6 +119,13 @@ def spun_force(data: TrackRecords, up: Array, shown: Shown) -> Array:
 def tangent_of(data: TrackRecords) -> Array:
     """Axis × outward, in the case, (3,)."""
     return np.cross(np.eye(3)[data.axis], data.outward)
+
+
+def _cosines(values: Array) -> Array:
+    """Orthonormal cosine transform of values (n,)."""
+    from scipy.fft import dct
+
+    return np.asarray(dct(values, type=2, norm="ortho"))
 
 
 class TrackedMotion(Part):
@@ -272,7 +282,7 @@ class TrackedMotion(Part):
         for k, f in enumerate(self._frequencies):
             at = np.maximum(f, 0.5 / (self._lengths[k] * self.data.interval))
             both = known.model.density(at) + self._of_reference(row, k, at)
-            lines = both / (2.0 * self.data.interval)
+            lines = both / (2.0 * self.data.interval) + self._of_code(row, k)
             lines[f == 0.0] = means[k] * self._lengths[k]
             found.append(lines)
         return np.concatenate(found)
@@ -317,6 +327,26 @@ class TrackedMotion(Part):
         )
         return float(np.mean(slope**2)) * data.jitter**2 * 2.0 * data.sampled
 
+    def _codes(self, row: int) -> Iterator[Array]:
+        """What an accelerometer would show more in each rest on a code, if the angle were a standard uncertainty more,
+        (n,): gravity goes round with a level axis.
+        """
+        data = self.data
+        if data.coarse is None or data.shown is None or self.channels.rates[row] or data.upright.all():
+            return
+        axis, half = int(self.channels.axis[row]), 1e-4  # rad
+        ahead, behind = (spun_up(data, data.shown.angle + way * half)[axis] for way in (1.0, -1.0))
+        more = self.channels.sensitivity[row] * data.gravity * (ahead - behind) / (2.0 * half) * data.coarse
+        stands = data.coarse > 0.5 * float(data.coarse.max())  # low-passed, with ends that ring
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8)))
+        for begin, end in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+            yield np.where((np.arange(len(more)) >= begin) & (np.arange(len(more)) < end), more, 0.0)
+
+    def _of_code(self, row: int, stretch: int) -> Array:
+        """Variance that rests on a code put into the lines of a stretch, V², (lines,)."""
+        here, count = slice(*self.data.stretches[stretch]), len(self._frequencies[stretch])
+        return np.asarray(sum((_cosines(one[here])[:count] ** 2 for one in self._codes(row)), np.zeros(count)))
+
     def _covariance(self, row: int, model: NoiseModel) -> Array:
         """Of a channel's means over all stretches, (s, s); files are taken to lie far apart in time."""
         data = self.data
@@ -325,7 +355,11 @@ class TrackedMotion(Part):
         back = np.concatenate([[0.0], np.maximum(end[:-1] - begin[1:], 0.0)])
         later = np.cumsum(np.where(back > 0.0, back + APART, 0.0)) - begin[0]
         of_reference = [float(self._of_reference(row, k, np.zeros(1), 4.0)[0]) for k in range(len(begin))]
-        return model.covariance(begin + later, end + later) + np.diag(np.array(of_reference) / (2.0 * (end - begin)))
+        found = model.covariance(begin + later, end + later) + np.diag(np.array(of_reference) / (2.0 * (end - begin)))
+        for one in self._codes(row):
+            means = np.array([one[b:e].mean() for b, e in data.stretches])
+            found = found + np.outer(means, means)
+        return found
 
     @cached_property
     def _means(self) -> dict[int, tuple[NDArray[np.intp], Array]]:

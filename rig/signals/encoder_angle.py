@@ -27,6 +27,8 @@ TOGETHER = 0.02
 """Share of edges of A and B within one sample above which the states cannot be counted one by one."""
 NEARBY = 1.0
 """On either side of an instant, s: readings that say how noisy the angle is there."""
+SAME = 1e-9
+"""rad: what a full turn more or less leaves of equal readings."""
 CLEAR = 10.0
 """Times the noise, in power."""
 MUCH = 0.01
@@ -45,9 +47,10 @@ class AngleTrack:
     each with its standard uncertainty `u_…` in the same unit; `good` is False in long gaps and near ends. `bandwidth`
     Hz: motion and noise are equal there, and nothing above it is to be trusted; `kept` Hz: to there the smoother keeps
     99 %. `clear` Hz: to there the motion stands ten times above the noise (in power). `density` rad²/Hz: that of the
-    angle's noise about each instant. `jitter` s: standard deviation of the time stamps, as far as readings scatter more
-    while the platter is fast; 0 where they do not. `dropped`: rows whose time stamp did not increase. `notes`: what a
-    reader must know, in sentences.
+    angle's noise about each instant. `coarse` rad: standard uncertainty that all readings about an instant have in
+    common where the platter stands on one code, 0 elsewhere. `jitter` s: standard deviation of the time stamps, as far
+    as readings scatter more while the platter is fast; 0 where they do not. `dropped`: rows whose time stamp did not
+    increase. `notes`: what a reader must know, in sentences.
     """
 
     time: Array
@@ -63,6 +66,7 @@ class AngleTrack:
     kept: float
     clear: float
     density: Array
+    coarse: Array
     jitter: float
     dropped: int
     notes: tuple[str, ...]
@@ -94,8 +98,25 @@ def encoder_track(
     grid = stamps[0] + every * np.arange(math.floor((stamps[-1] - stamps[0]) / every + 1e-9) + 1)
     limit = 5.0 * step if longest is None else longest
     notes = (*_row_notes(time, angle, dropped, stamps, limit), *curve.notes)
-    noise = _noise(curve, stamps, np.unwrap(values, period=TURN), grid)
-    return _track(curve, grid, every, trusted(curve, grid, stamps, limit), noise, dropped, notes)
+    turned = np.unwrap(values, period=TURN)
+    noise, coarse = _noise(curve, stamps, turned, grid), _standing(stamps, turned, grid)
+    return _track(curve, grid, every, trusted(curve, grid, stamps, limit), noise, coarse, dropped, notes)
+
+
+def _standing(time: Array, angle: Array, grid: Array) -> Array:
+    """Standard uncertainty of the angle where it stays on one code for long, rad, at every instant of the grid; else 0.
+
+    Anywhere within the code is as likely as anywhere else, and no average of readings knows better.
+    """
+    steps = np.abs(np.diff(angle))
+    moved = np.concatenate([[0], np.flatnonzero(steps > SAME) + 1, [len(angle) - 1]])
+    longer = np.flatnonzero(np.diff(time[moved]) > 2.0 * NEARBY)
+    found = np.zeros(len(grid))
+    if len(moved) > 2:
+        code = float(np.min(steps[steps > SAME]))
+        for k in longer.tolist():
+            found[(grid >= time[moved[k]]) & (grid < time[moved[k + 1]])] = code / math.sqrt(12.0)
+    return found
 
 
 def _noise(curve: Curve, time: Array, angle: Array, grid: Array) -> tuple[Array, float]:
@@ -151,7 +172,7 @@ def _clear(curve: Curve) -> float:
 
 def _track(
     curve: Curve, grid: Array, interval: float, good: NDArray[np.bool_],
-    noise: tuple[Array, float], dropped: int, notes: tuple[str, ...],
+    noise: tuple[Array, float], coarse: Array, dropped: int, notes: tuple[str, ...],
 ) -> AngleTrack:  # fmt: skip
     angle, rate, acceleration = (curve.value(grid, order)[:, 0] for order in range(3))
     u_angle, u_rate, u_acceleration = (np.sqrt(curve.variance(grid, order)) for order in range(3))
@@ -169,6 +190,7 @@ def _track(
         kept=curve.low_pass.kept,
         clear=_clear(curve),
         density=noise[0],
+        coarse=coarse,
         jitter=noise[1],
         dropped=dropped,
         notes=notes,
@@ -311,7 +333,7 @@ def _smoothed(
     every = float(np.median(np.diff(time))) if interval is None else interval
     grid = time[0] + every * np.arange(math.floor((time[-1] - time[0]) / every + 1e-9) + 1)
     good = trusted(curve, grid, time, math.inf)
-    return _track(curve, grid, every, good, _noise(curve, time, angle, grid), 0, curve.notes)
+    return _track(curve, grid, every, good, _noise(curve, time, angle, grid), np.zeros(len(grid)), 0, curve.notes)
 
 
 def _steps(a: Pulses, b: Pulses) -> tuple[Array, Array, int]:

@@ -11,7 +11,7 @@ from imported_worlds import AXES, Unit, clean, evidence, rotation
 
 from rig.diagnose.conclusion import conclude
 from rig.diagnose.diagnose import diagnose
-from rig.fit.adequacy import unsteady
+from rig.fit.adequacy import groups, unsteady
 from rig.foreign.tables import Foreign
 from rig.parts.track import TrackedMotion
 from rig.shelf import shelf
@@ -126,3 +126,14 @@ def test_a_zero_that_creeps_by_what_one_sample_scatters_is_no_slow_noise() -> No
         rows[:, table.names.index("gyro_z")] += 2e-3 * (t - t[0]) / (t[-1] - t[0])
         verdicts.append(diagnose(evidence(replace(foreign, tables=(replace(table, values=rows),)))).verdict)
     assert "adequate" not in verdicts
+
+
+def test_accelerometers_at_rest_on_a_level_axis_are_as_uncertain_as_the_code_on_which_the_encoder_stands() -> None:
+    """No average of equal readings knows where within the code the axis stands: 0.4 mrad are 4 mm/s² of gravity."""
+    squares = count = 0.0
+    for seed in range(6):
+        log = rotation(clean(seed), seed, seconds=40.0, rest=10.0, upright=False, jitter=1e-4)
+        means = [one for one in groups(evidence(log).fitted()) if one.channel in ("acc_x", "acc_y")]
+        squares += sum(one.chi2 for one in means if one.domain == "mean")
+        count += sum(one.count for one in means if one.domain == "mean")
+    assert 0.4 < squares / count < 1.5

@@ -330,8 +330,8 @@ def _with_encoder(
     data: TrackRecords, runs: Sequence[tuple[_Piece, int, int]], rotation: Rotation, stated: Sequence[Stated]
 ) -> TrackRecords:
     """The encoder's motion about the case's axis; its sense and how gravity lies are found if nobody states them."""
-    *arrays, density = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
-                        for name in ("angle", "rate", "acceleration", "density")]  # fmt: skip
+    *arrays, density, coarse = [np.concatenate([piece.of_track(name, b, e) for piece, b, e in runs])
+                                for name in ("angle", "rate", "acceleration", "density", "coarse")]  # fmt: skip
     axis = AXES.index(rotation.axis)
     found, said = _sense(data, axis, arrays[1])
     sense = float(rotation.sense or found or 1)
@@ -346,7 +346,7 @@ def _with_encoder(
         upright = np.zeros_like(upright)
     made = replace(
         data, shown=shown, axis=axis, upright=upright, phase=phase, radius=rotation.radius, outward=outward, rate=rate,
-        turning=turning, density=density,
+        turning=turning, density=density, coarse=coarse,
         jitter=max(piece.track.jitter for piece, _, _ in runs if isinstance(piece.track, AngleTrack)),
         sampled=runs[0][0].track.interval, notes=(*notes, *more, *_against(data, stated)),
     )  # fmt: skip

@@ -195,8 +195,8 @@ def _off_alone(held: _Held, out: Rows, row: int) -> float:
     """How far the nearest of some rows is off what leads through those about them, in units of the scatter; nothing
     unless all is quiet without them.
     """
-    begin, end = int(out[0]) - 3 * SIDE, int(out[-1]) + 1 + 3 * SIDE
-    if begin < 0 or end > len(held.known):
+    begin, end = _about(held, out)
+    if out[0] - begin < SIDE or end - 1 - out[-1] < SIDE:
         return 0.0
     filled = held.known[begin:end].copy()
     filled[out - begin] = _through(held, out, row)
@@ -223,6 +223,11 @@ def _through(held: _Held, out: Rows, row: int) -> Array:
     if len(out) == 1:
         near = held.known[row - SIDE : row + SIDE + 1]
         return np.asarray([held.weights[:, row] @ np.delete(near, SIDE)])
-    beside = np.setdiff1d(np.arange(out[0] - 3 * SIDE, out[-1] + 3 * SIDE + 1), out)
+    beside = np.setdiff1d(np.arange(*_about(held, out)), out)
     places, at = (held.clock[one] - held.clock[row] for one in (beside, out))
     return np.asarray(np.polyval(np.polyfit(places, held.known[beside], 5), at))
+
+
+def _about(held: _Held, out: Rows) -> tuple[int, int]:
+    """First and last + 1 of some rows and those about them, as far as there are any."""
+    return max(int(out[0]) - 3 * SIDE, 0), min(int(out[-1]) + 1 + 3 * SIDE, len(held.known))

@@ -79,3 +79,11 @@ def test_what_is_held_for_two_rows_stands_alone_and_what_lasts_or_stays_does_not
     found = isolated(change(values), time)
     assert (len(found) > 0) == some
     assert set(found.tolist()) <= {AT, AT + 1, AT + 2}
+
+
+@pytest.mark.parametrize("row", [4, 7, ROWS - 9, ROWS - 4])
+def test_a_row_that_stands_alone_is_found_near_either_end_too(row: int) -> None:
+    """As of a pose, which is a piece by itself."""
+    time, values = moving(3)
+    values[row] += 25.0 * NOISE
+    assert isolated(values, time).tolist() == [row]

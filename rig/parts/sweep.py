@@ -33,7 +33,7 @@ from rig.parts.reference_motion import REMEMBERED, reference_key
 from rig.parts.remainder import Cut, Growth, Mask, Prediction, Remainder, Reversal, Score, Series, Sign
 from rig.parts.ripple import ELSEWHERE, Floor, said
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, WIDTH, SweepRecords
-from rig.signals.blocks import spread, unmixed
+from rig.signals.blocks import inward, spread, unmixed
 from rig.signals.noise import walking
 
 SEVERAL = 3  # records of one level, from which it is a state of its own
@@ -255,7 +255,7 @@ class Sweep(Part):
 
     @cached_property
     def held_out(self) -> NDArray[np.bool_]:
-        """Rows of the records held out, else of every third in time at each level and at rest, (rows,)."""
+        """Rows of the records held out, else of a third in time at each level and at rest, (rows,)."""
         c, p = self.data.usable.shape
         return np.broadcast_to(self._held[None, :, None], (c, p, WIDTH)).reshape(-1)
 
@@ -266,7 +266,8 @@ class Sweep(Part):
             return data.held
         levels = [level if driven else "rest" for level, driven in zip(data.level, data.driven, strict=True)]
         often = Counter(levels)
-        return spread([level if often[level] >= SEVERAL or level == "rest" else "driven" for level in levels])
+        states = [level if often[level] >= SEVERAL or level == "rest" else "driven" for level in levels]
+        return inward(spread(states), np.abs(data.shown[:, 1]), np.array([one == "driven" for one in states]))
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 THIRD = 1.0 / 3.0
 ROUNDING = 1e-9
+FEWEST = 3  # blocks that have one in the middle
 
 
 def spread(states: Sequence[Hashable], share: float = THIRD) -> Mask:
@@ -27,6 +28,20 @@ def spread(states: Sequence[Hashable], share: float = THIRD) -> Mask:
     found = np.zeros(len(states), np.bool_)
     for number, k in enumerate(order):
         found[k] = math.floor((number + 1) * share + ROUNDING) > math.floor(number * share + ROUNDING)
+    return found
+
+
+def inward(held: Mask, sizes: Array, some: Mask) -> Mask:
+    """Of `some` blocks, of sizes of their own, not the last of three held out but the one of middle size, (n,).
+
+    Held out in the order of rising levels, the highest would say how a model does where it was never fitted.
+    """
+    found, places = held.copy(), np.flatnonzero(some)
+    ends = np.flatnonzero(held[places]) + 1
+    for group in np.split(places, ends):
+        if len(group) >= FEWEST and held[group[-1]]:
+            found[group[-1]] = False
+            found[group[np.argsort(sizes[group], kind="stable")[len(group) // 2]]] = True
     return found
 
 

@@ -7,11 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import blind_imports
+import blind_laws
 import fast_bench
 import imported_sweeps
 import imported_worlds as worlds
 import numpy as np
 import pytest
+from blind_imports import Record
 from imported_worlds import Sensor, response, response_table
 from numpy.typing import NDArray
 
@@ -28,7 +31,7 @@ from rig.parts.platter import Platter
 from rig.parts.response import ResponseTable
 from rig.parts.sweep import Sweep
 from rig.shelf import shelf
-from rig.signals.blocks import spread
+from rig.signals.blocks import inward, spread
 
 LATE = Sensor(gain=1.01, delay=2e-3)
 
@@ -80,6 +83,22 @@ def test_every_third_block_of_every_state_is_held_out_and_none_that_is_alone() -
     assert int(held.sum()) == 21 // 3
     assert int(spread(states, 0.4).sum()) == math.floor(0.4 * 21)
     assert not spread(["a", "b", "c"]).any()
+
+
+def test_of_three_levels_that_are_met_once_the_middle_one_is_held_out() -> None:
+    """Held out in their order, every highest would judge a model where it was never fitted."""
+    levels = np.array([0.0, 0.1, 0.3, 0.9, 0.2, 0.8, 0.5, 0.4])
+    some = levels > 0.0
+    held = inward(spread(["rest", *["driven"] * 7]), levels, some)
+    assert levels[held].tolist() == [0.3, 0.5]
+    assert inward(held, levels, np.zeros(8, np.bool_)).tolist() == held.tolist()
+
+
+def test_a_cubic_that_shows_at_the_highest_levels_alone_is_named() -> None:
+    """Each of two frequencies once at three rising levels."""
+    record = Record("sweep", 1341231747, blind_laws.law_of("cubic"), {"size": 8e-4, "on": "acceleration"})
+    diagnosis = diagnose(blind_imports.evidence(record.made()))
+    assert (diagnosis.verdict, diagnosis.named) == ("missing", ("cubic",))
 
 
 def test_a_sweep_holds_out_of_every_level_and_of_rest_early_and_late(sweep: Sweep) -> None:

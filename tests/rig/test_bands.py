@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import blind_imports
+import blind_laws
 import imported_worlds as worlds
 import numpy as np
 import pytest
+from blind_imports import Record
 from imported_worlds import Array, Unit
 from scipy.signal import butter, lfilter
 
@@ -20,6 +23,7 @@ from rig.model import Term
 from rig.parts.reading import imported
 from rig.shelf import shelf
 
+SEED = 678834756
 HUNDRED = np.radians(100.0)
 
 
@@ -83,3 +87,10 @@ def test_a_gain_that_only_makes_up_for_what_is_missing_is_no_wrong_unit() -> Non
     assert made.named[0] == "cubic"
     assert made.final.state.gain["gyro_z"] == pytest.approx(0.0, abs=0.02)
     assert not made.misplaced
+
+
+def test_what_other_stretches_make_of_a_true_effect_is_no_dependence_on_the_band() -> None:
+    """Twice the band has another grid, other stretches and weights: this estimate moves by 1.2 of its uncertainty."""
+    law = blind_laws.law_of("asymmetry")
+    made = blind_imports.evidence(Record("rotation", SEED, law, {"size": 0.0088, "on": "rate"}).made())
+    assert not bands.dependent(made, made.fitted([Term(shelf()["asymmetry"], "rate", {"ratio": 0.0088})]))

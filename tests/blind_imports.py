@@ -310,7 +310,8 @@ def of_strength(one: Record, wanted: float) -> tuple[Record, float]:
     plain, best = one.without().made(), math.nan
     near = _near(one, plain) if one.law.stranger else ()
     for _ in range(HALVINGS):
-        best = _told(one, one.with_size(math.exp(x)).made(), plain, near)
+        there = one.with_size(math.exp(x))
+        best = _told(there, there.made(), plain, near)
         if abs(best / wanted - 1.0) < 0.03:
             break
         low, high = (x, high) if best < wanted else (low, x)

@@ -245,7 +245,7 @@ LAWS: tuple[Law, ...] = (
     Law("warm_up", ("rotation", "motion"), (1e-5, 2.0), _warm, {"time_constant": (15.0, 60.0)}),
     # strangers
     Law("root_bias", ("rotation", "motion"), (1e-7, 0.3), _static(lambda u, k: u + k * np.sqrt(np.abs(u))),
-        stranger=True, formula=True),
+        stranger=True),
     Law("axes_product", ("motion", "poses"), (1e-7, 0.2), _product, stranger=True),
     Law("echo", ("rotation", "motion"), (1e-6, 0.5), _echo, {"after": (0.3, 0.6)}, stranger=True),
     Law("echo_of_millis", RESPONSE, (1e-6, 0.5), _echo, {"after": (0.006, 0.012)}, stranger=True),

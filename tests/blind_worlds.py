@@ -130,8 +130,8 @@ def cases(worlds: int, tables: Sequence[str] = TABLES, series: str = "1") -> lis
             for bench, kinds in blind_strangers.KINDS.items() for kind in kinds for n in range(third)
         ),
         "pairs": (
-            Case("pairs", bench, (pair[n % 2],), n, series, LEAST_STRANGE)
-            for bench, pairs in PAIRS.items() for pair in pairs for n in range(max(round(worlds / 5), 2))
+            Case("pairs", bench, (pair[n % 2],), 100 * k + n, series, LEAST_STRANGE)
+            for n in range(max(round(worlds / 5), 2)) for bench, pairs in PAIRS.items() for k, pair in enumerate(pairs)
         ),
         "imported_clean": (
             Case("imported_clean", kind, (), n, series) for kind in blind_imports.KINDS for n in range(4 * worlds)

@@ -109,11 +109,11 @@ def describe(evidence: Evidence, whole: Fit) -> Description:
     """Describe what a model of this evidence leaves over; `whole` is its fit to all rows."""
     fit = fitting.fit(whole.parts, whole.state, use=evidence.training)
     standing = [one for one in adequacy.standing(adequacy.groups(fit)) if one.count > 1]
-    singles = sorted(_singles(evidence, fit), key=lambda one: -one.gain)
+    singles = sorted(_singles(fit), key=lambda one: -one.gain)
     chosen, found = _chosen(fit, singles)
     some = _channels_alone(evidence, standing)
     if some and _explained(fit, found) < WHOLE:
-        theirs = sorted(_singles(evidence, fit, some), key=lambda one: -one.gain)
+        theirs = sorted(_singles(fit, some), key=lambda one: -one.gain)
         alone = _chosen(fit, theirs)
         if alone[1] is not None and (found is None or alone[1].gain > found.gain + CHANCE):
             (chosen, found), singles = alone, theirs
@@ -133,6 +133,16 @@ def describe(evidence: Evidence, whole: Fit) -> Description:
     if chosen is not None and found is not None and held is not None and held.explains(found.gain):
         made = _offered(evidence, whole, chosen, made)
     return replace(made, words=tuple(_words(made, standing)))
+
+
+def alone(fit: Fit, only: tuple[str, ...] = (), *, coefficients: int = 2) -> Candidate | None:
+    """The formula of one term and up to so many coefficients, on all channels or on `only` some, that by itself takes
+    most away of what a model leaves, refitted; None if none does.
+    """
+    singles = [*_singles(fit), *(_singles(fit, only) if only else ())]
+    singles = [one for one in singles if one.gain > CHANCE and 1 + len(_starts(one.shapes)) <= coefficients]
+    scored = sorted(singles, key=lambda one: -one.gain)[:REFITS]
+    return max((search.refitted(fit, one.score) for one in scored), key=lambda one: one.gain, default=None)
 
 
 @dataclass(frozen=True)
@@ -204,10 +214,10 @@ def _channels_alone(evidence: Evidence, standing: Sequence[Group]) -> tuple[str,
     return tuple(sorted(found)) if found and found != every else ()
 
 
-def _singles(evidence: Evidence, fit: Fit, only: tuple[str, ...] = ()) -> Iterator[_Tried]:
-    rates = {bool(r) for part in evidence.parts for r in part.channels.rates}
+def _singles(fit: Fit, only: tuple[str, ...] = ()) -> Iterator[_Tried]:
+    rates = {bool(r) for part in fit.parts for r in part.channels.rates}
     for on in _quantities(rates):
-        shapes = [(shape,) for shape in library(evidence.parts)]
+        shapes = [(shape,) for shape in library(fit.parts)]
         yield from _scored(fit, shapes, on, only)
 
 

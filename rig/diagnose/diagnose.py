@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from rig.diagnose import instruments, search
+from rig.diagnose import describe, instruments, search
 from rig.diagnose.instruments import Finding
 from rig.diagnose.search import Candidate, Score
 from rig.fit import adequacy
@@ -46,6 +46,7 @@ MOST_STEPS = 4
 REFITS = 8
 SHARE = 2e-3  # of the first effect's gain: a later effect must be worth more than the first one's own imprecision
 LIKELY = 0.6  # of what chance may give: where a score is as small as that it is straight, and no refit does much better
+EVENS = 0.5  # the highest probability of a name whose shape the data do not tell
 PROMISE = 0.1  # of what is needed: a score was never seen to promise less of what a refit removed
 PAIRS = 8  # first effects that pairs are begun with
 PAIR_REFITS = 3
@@ -540,6 +541,31 @@ def _changing(base: Fit, final: Fit, steps: Sequence[Step]) -> bool:
     return rival > worth + CLASS or max((one.chi2 for one in standing), default=0.0) > SHARE * gained
 
 
+def _ahead(base: Fit, final: Fit, steps: Sequence[Step], *, plain: bool = False) -> float:
+    """How much more of χ² one formula of the library alone (a `plain` one has a single coefficient) takes away than all
+    effects that were taken, in units in which more than one is clearly more, and less than minus one clearly less.
+
+    No group of rows may stand out though it is more: where noise is known from the misfit alone, it holds what a wrong
+    law leaves.
+    """
+    found = describe.alone(base, steps[0].taken.term.only, coefficients=1 if plain else 2)
+    if found is None:
+        return -math.inf
+    more = found.gain - (base.objective - final.objective)
+    return more / (CLASS * max(1.0, _unevenness(final, found.fit, found.fit)))
+
+
+def _shaped(base: Fit, final: Fit, steps: Sequence[Step]) -> list[Step]:
+    """The steps; an effect of several coefficients that was taken alone is no likelier than evens where a formula of
+    one does as well: a zero that drifts straight on is no exponential whose time constant is far longer.
+    """
+    (step,) = steps
+    if len(fitting.fitted(step.taken.term)) < 2 or _ahead(base, final, steps, plain=True) < -1.0:
+        return [step]
+    members = [replace(one, probability=min(one.probability, EVENS)) for one in step.members]
+    return [replace(step, taken=members[0], members=tuple(members), others=(*members, *step.others[len(members) :]))]
+
+
 def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Score, ...], imported: bool) -> Diagnosis:
     final = steps[-1].after if steps else base
     before, after = adequacy.excess(base), adequacy.excess(final)
@@ -548,10 +574,12 @@ def _concluded(base: Fit, trained: Fit, steps: Sequence[Step], scored: tuple[Sco
     if imported and steps:  # references of others are less perfect: no more is left than the steps' own error
         fine = fine or after < SHARE * (base.objective - final.objective)
     explained = 1.0 - after / before if before > 0.0 else 1.0
+    steps = _shaped(base, final, steps) if imported and len(steps) == 1 else steps
+    beaten = imported and len(steps) > 0 and _ahead(base, final, steps) > 1.0
     verdict: Verdict
     if misread(final):
         verdict = "undecided"
-    elif not fine or _changing(base, final, steps):
+    elif not fine or _changing(base, final, steps) or beaten:
         verdict = "unlisted"
     elif not held:
         verdict = "undecided"

@@ -8,8 +8,8 @@ PER_TURN = (*range(1, 17), 18, 20, 24)
 _WAVES = tuple(itertools.product(("", "omega*"), ("sin", "cos")))
 
 ANYWHERE = (
-    "u**2", "u**3", "u**4", "u**5", "u*abs(u)", "abs(u)", "sign(u)*sqrt(abs(u))", "T", "T*u", "Vs", "Vs*u",
-    "t", "t*u", "exp(-t/{tau})", "u*exp(-t/{tau})",
+    "u**2", "u**3", "u**4", "u**5", "u*abs(u)", "abs(u)", "sqrt(abs(u))", "sign(u)*sqrt(abs(u))", "T", "T*u", "Vs",
+    "Vs*u", "t", "t*u", "exp(-t/{tau})", "u*exp(-t/{tau})",
 )  # fmt: skip
 OF_SHAKER = (
     "log(f)*u", "f*u", "f**2*u", "u/f", "A", "A*u", "A**2", "f*A", "V", "V**2", "V*abs(V)", "V*f", "V/f",

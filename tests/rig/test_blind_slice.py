@@ -110,6 +110,8 @@ def test_a_whole_study_has_the_worlds_that_its_tables_promise_and_each_only_once
     others = 10 * sum(map(len, blind_worlds.OTHERS.values()))
     assert count == {
         "clean": 300, "ripple": 100, "one": 810, "two": 200, "others": others, "unshelved": 270, "strangers": 100,
+        "pairs": 60, "imported_clean": 600, "imported_unknown": 300, "imported_one": 1170, "imported_strangers": 480,
+        "faults": 780,
     }  # fmt: skip
     assert len({case.id for case in cases}) == len({case.seed for case in cases}) == len(cases)
 

@@ -27,6 +27,13 @@ noise, after everything has been taken away that the data-sheet model can adjust
 and 600, each factor of ten as often as another, but never beyond the size that such instruments and sensors can have.
 An effect of d′ 6 can just be seen by somebody who knows what to look for. Noise counts by what spectra of records at
 rest show beside the levels that a data sheet leaves open.
+
+Imported records are simulated too, as others might hand them in, with no band stated: rotations with an encoder of
+4096 codes and stamps that jitter, sweeps of two frequencies at three levels, free motion before cameras, 48 poses,
+tables of responses at two levels. Their d′ counts against the noise of device and reference together, in the whole
+record, up to 4 Hz where something moves; of a stranger only what no single effect of the shelf takes up. A fault's d′
+is √Σ(Δ/σ)² over the samples that it changes, σ the noise of one sample (of a reference that slips the noise of its
+difference from row to row): what it does in the band that is compared may be a tenth of that.
 """
 
 COLUMNS = """\
@@ -34,6 +41,8 @@ Shares are given with their 95 % interval (Clopper and Pearson); a small study h
 asked for before the study was made. A world whose diagnosis ended with an error counts as wrong everywhere.
 
 - *Exactly*: the hidden effect is named, and nothing else.
+- *Noise known*: at rest, by a data sheet, from repeats; *not known*: only from what the model leaves over. Free motion
+  before cameras is always of the second sort, and rightly `undecided` where nothing is found.
 - *Any other effect*: also those that are not scored by name above, such as noise, lines and coarse codes.
 - *In a first class of ≤ 3*: effects that the data cannot tell apart are named together, as a class; the first one has
   at most three members, and the truth is one of them.
@@ -139,6 +148,7 @@ def _lines(head: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
 def in_words(study: Study) -> Iterator[str]:
     """One sentence for each thing that was measured."""
     clean = [one for one in study.found if one.table == "clean"]
+    yield from _imported(study.found)
     single = [one for one in study.found if one.table == "one"]
     if clean:
         blamed = sum(bool(one.result["named"]) for one in clean)
@@ -153,6 +163,27 @@ def in_words(study: Study) -> Iterator[str]:
     yield from _later(study)
     if study.peers:
         yield from _against(study.peers)
+
+
+def _imported(found: Sequence[Trial]) -> Iterator[str]:
+    """What was found in the records of others."""
+    of = {table: [one for one in found if one.table == table] for table in ("imported_clean", "imported_one", "faults")}
+    if clean := of["imported_clean"]:
+        blamed = sum(bool(one.result["named"]) for one in clean)
+        yield f"- Imported, nothing hidden: in {len(clean)} clean records an effect was {_times(blamed)} blamed."
+    if single := [one for one in of["imported_one"] if one.answer.d_prime >= blind_scores.STRONG]:
+        held = sum(one.in_first_class for one in single)
+        yield f"- Imported, one effect of d′ ≥ 20: in {held} of {len(single)} records it is in the first class."
+    if faulty := of["faults"]:
+        fine, sure = (sum(map(of_what, faulty)) for of_what in (_adequate, lambda one: one.wrong_and_sure))
+        yield (
+            f"- Imported, samples that are no measurement, drifts, steps: of {len(faulty)} records {fine} were called "
+            f"adequate, and in {sure} a physical effect was named with a probability of 0.9 or more."
+        )
+
+
+def _adequate(one: Trial) -> bool:
+    return one.is_said("adequate")
 
 
 def _misses(single: Sequence[Trial]) -> Iterator[str]:

@@ -21,7 +21,7 @@ from blind_worlds import Answer, unsealed
 
 BINS = (6.0, 10.0, 30.0, 100.0, 600.0)
 LARGEST_CLASS = 3
-SURE = 0.9
+SURE, STRONG = 0.9, 20.0
 OWN = ("shaker", "turntable")  # benches; whatever else a world is of was imported
 STATED = (0.0, 0.25, 0.5, 0.75, 0.9, 0.99, 1.0)  # probabilities that are counted together
 EVENS = 0.5
@@ -312,13 +312,13 @@ def _imported_unknown(found: list[Trial]) -> Iterator[Row]:
 
 
 def _imported_one(found: list[Trial]) -> Iterator[Row]:
-    strong = [one for one in found if one.answer.d_prime >= 20.0]
+    strong = [one for one in found if one.answer.d_prime >= STRONG]
     what = "imported, one effect, d′ ≥ 20: in a first class of ≤ 3"
     yield _row(what, strong, lambda one: one.in_first_class, "≥ 95 %")
     for kind, here in _by(strong, lambda one: one.answer.bench):
         yield _row(f"… {kind}", here, lambda one: one.in_first_class, "")
     for kind, here in _by(found, lambda one: one.answer.bench):
-        weak = [one for one in here if one.answer.d_prime < 20.0]
+        weak = [one for one in here if one.answer.d_prime < STRONG]
         yield _row(f"… {kind}, d′ 10 to 20", weak, lambda one: one.in_first_class, "")
     few = [one for one in strong if one.answer.names[0] not in FAMILY]
     what = "… without delays, lags, averages and filters, of which more than three may look alike"

@@ -79,6 +79,13 @@ def _tried(answer: Answer, world: World, case: Case) -> dict[str, Any]:
     return result
 
 
+def said_of(answer: Answer) -> dict[str, Any]:
+    """What is said of a world from its records alone."""
+    if answer.table in worlds.IMPORTED:
+        return import_tried(answer)
+    return said(diagnose(evidence_of([worlds.measured(worlds.world_of(answer), answer.bench)])))
+
+
 def import_tried(answer: Answer) -> dict[str, Any]:
     """An imported record, diagnosed as `rig diagnose` does it, and what is found wrong with its samples."""
     loading = time.perf_counter()

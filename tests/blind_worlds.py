@@ -62,6 +62,8 @@ PAIRS: Mapping[str, tuple[tuple[str, str], ...]] = {  # that a standard run hard
 }  # fmt: skip
 WEAKEST, STRONGEST = drawing.WEAKEST, drawing.STRONGEST
 LEAST_STRANGE, LEAST_EASY, LEAST_FAULTY, LEAST_IMPORTED = 20.0, 30.0, 30.0, 10.0
+LEAST_CLEAR = 60.0
+PAIRED = 3  # number of a delay that is weak
 MOST_FAULTY = 300.0
 ATTEMPTS = 20
 RIPPLE = {"relative": 1e-3}
@@ -175,6 +177,26 @@ def slice_of_all() -> list[Case]:
     names = [("shaker", name) for name in NAMES["shaker"]]
     names += [("turntable", name) for name in ("asymmetry", "encoder_eccentricity", "platen_tilt", "warm_up")]
     return clean + [Case("one", bench, (name,), 0, "slice", LEAST_EASY) for bench, name in names]
+
+
+KINDS_OF_THE_SLICE = (  # table, bench, what is hidden, number
+    ("imported_clean", "rotation", "", 0), ("imported_clean", "sweep", "", 0), ("imported_clean", "response", "", 0),
+    ("imported_unknown", "motion", "", 0), ("imported_one", "rotation", "encoder_eccentricity", 0),
+    ("imported_one", "motion", "lever_arm", 0), ("imported_one", "response", "delay", PAIRED),
+    ("imported_strangers", "motion", "root_bias", 0), ("faults", "rotation", "glitch", 0),
+    ("faults", "sweep", "stuck", 0), ("faults", "poses", "clipping", 0), ("faults", "response", "drift", 0),
+    ("others", "shaker", "spur", 0),
+)  # fmt: skip
+
+
+def slice_of_kinds() -> list[Case]:
+    """One world of nearly every other kind that the tables have, strong enough to be told; a delay that looks like a
+    lag is a confounded pair.
+    """
+    return [
+        Case(table, bench, (name,) if name else (), number, "slice", LEAST_FAULTY if number else LEAST_CLEAR)
+        for table, bench, name, number in KINDS_OF_THE_SLICE
+    ]
 
 
 def drawn(case: Case) -> Answer:

@@ -8,12 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import blind_trials
-import blind_worlds
 from blind_scores import Trial
 from blind_worlds import Answer
-
-from rig.diagnose.diagnose import diagnose
-from rig.fit.evidence import evidence_of
 
 SCENARIO = "blind_slice"
 ANSWERS = Path(__file__).parent / "rig" / "blind_slice.json"
@@ -26,8 +22,7 @@ def answers() -> list[Answer]:
 
 def diagnosed(answer: Answer) -> Trial:
     """A world measured and diagnosed from its records alone."""
-    world = blind_worlds.world_of(answer)
-    return Trial(answer, blind_trials.said(diagnose(evidence_of([blind_worlds.measured(world, answer.bench)]))))
+    return Trial(answer, blind_trials.said_of(answer))
 
 
 def kept_of(trials: Sequence[Trial]) -> dict[str, Any]:

@@ -142,8 +142,12 @@ def _asked() -> argparse.Namespace:
 
 def _sliced(path: Path) -> int:
     """Write the worlds of the test suite's slice, so that it need not size them every time."""
-    blind_worlds.write(path, {"answers": [asdict(blind_worlds.drawn(case)) for case in blind_worlds.slice_of_all()]})
-    print(f"next: look at {path} and run pytest tests/rig/test_blind_slice.py")
+    kinds = path.with_name("blind_kinds.json")
+    for to, cases in ((path, blind_worlds.slice_of_all()), (kinds, blind_worlds.slice_of_kinds())):
+        blind_worlds.write(to, {"answers": [asdict(blind_worlds.drawn(case)) for case in cases]})
+    print(
+        f"next: look at {path} and {kinds}, and run pytest tests/rig/test_blind_slice.py tests/rig/test_blind_kinds.py"
+    )
     return 0
 
 

@@ -109,7 +109,7 @@ def import_tried(answer: Answer) -> dict[str, Any]:
 
 def repaired(evidence: Evidence, found: Diagnosis) -> dict[str, Any]:
     """The formula that is offered for an unlisted effect, and χ²/n of held-out rows with it; "" if none is offered."""
-    one = describe(evidence, found.final)
+    one = describe(evidence, found.base)
     return {"formula": one.formula, "held": None if one.held is None else one.held[1]}
 
 

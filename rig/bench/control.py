@@ -175,7 +175,8 @@ def ensure_served(
     until = time.monotonic() + deadline + (SIZING if hidden_seed is not None else 0.0)
     if (addresses := served(state)) is not None:
         return _of_seed(addresses, seed, state)
-    command = [sys.executable, "-m", "fixtures", "--world", str(world), "--seed", str(seed)]
+    # -P: nothing of the working folder is imported
+    command = [sys.executable, "-P", "-m", "fixtures", "--world", str(world), "--seed", str(seed)]
     command += ["--state", str(state), "--idle", str(idle)]
     if hidden_seed is not None:
         command += ["--hidden-seed", str(hidden_seed)]

@@ -101,7 +101,8 @@ class Possession:
         armed = any(path.exists() for path in self.armed)
         for path, descriptor in zip(self.locks, self.descriptors, strict=True):
             if not armed:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):  # another user's file stays, and says nothing while nobody holds it
+                    path.unlink()
             os.close(descriptor)
         self.locks, self.descriptors = [], []
 

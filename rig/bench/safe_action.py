@@ -95,8 +95,13 @@ def _settle(description: BenchDescription, runs: Path, possession: Possession, d
         for one in done.found:
             log.write("made safe", instrument=one.role, by=BY)
         log.write("done", by=BY)
-    for file in possession.armed:
-        file.unlink(missing_ok=True)
+    try:
+        for file in possession.armed:
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        raise WorkFailed(
+            f"{file}: found it kept ({error}), wanted it removed: all is off, but it says otherwise"
+        ) from error
 
 
 def _on_this(description: BenchDescription, run: Any) -> bool:

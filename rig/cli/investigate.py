@@ -429,8 +429,9 @@ def hidden(ctx: click.Context, bench: Path | None, seed: int, yes: bool, runs: P
     from rig.bench.benchfile import describe
 
     description = describe(bench_path(bench))
-    control.stop(assembly.state_folder(description, runs))
-    assembly.start_simulated(description, runs, seed)
+    with assembly.occupied(description, runs):  # another program's bench is not taken from under it
+        control.stop(assembly.state_folder(description, runs))
+        assembly.start_simulated(description, runs, seed)
     names = [take(dict(document), bench, runs, quiet=as_json) for document in STANDARD]
     if as_json:
         print_json({"runs": names})

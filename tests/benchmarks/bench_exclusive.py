@@ -14,11 +14,11 @@ from rig.archive.runs import Runs
 from rig.bench.control import stop
 
 PAIRINGS = int(os.environ.get("RIG_PAIRINGS", "100"))
-LATEST = 1.5  # s from the start of the one to the start of the other
-SWEEP = "procedure: frequency_sweep\naxis: x\npoints: 12\n"
+LATEST = 0.8  # s from the start of the one to the start of the other
+SWEEP = "procedure: frequency_sweep\naxis: x\npoints: 3\n"
 FIRST = [
     ("run", "sweep.yaml", "--json"),
-    ("turntable", "--rpm", "45", "--axis", "yaw", "--revolutions", "20", "--json"),
+    ("turntable", "--rpm", "45", "--axis", "yaw", "--revolutions", "4", "--rest", "10 s", "--json"),
 ]
 SECOND = [*FIRST, ("bench", "check"), ("bench", "safe")]
 TRUE = {"unit_a_x.sensitivity": 0.06628, "gyro_yaw.sensitivity": 0.2141}  # V/(m/s²), V/(rad/s), of this world

@@ -134,6 +134,16 @@ def test_a_simulated_bench_is_started_once_for_a_runs_folder(runs: Path) -> None
         assert link.ask("hello")["seed"] == 1
 
 
+def test_nothing_of_the_working_folder_is_imported_by_the_bench(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("yaml", "numpy", "asyncio"):
+        (tmp_path / f"{name}.py").write_text(f'raise SystemExit("a {name}.py of the working folder was executed")')
+    description = describe(SHIPPED)
+    monkeypatch.chdir(tmp_path)
+    assert assembly.start_simulated(description, runs)
+
+
 def test_a_bench_with_another_world_does_not_get_the_world_that_is_there(runs: Path, written: Written) -> None:
     assembly.start_simulated(describe(SHIPPED), runs)
     with pytest.raises(BadInput, match="seed 1, wanted seed 2"):

@@ -61,6 +61,17 @@ def take_lock(path: Path) -> int:
     raise BadInput(f"{path}: found it held by another process, wanted to be the only one who writes")
 
 
+@contextlib.contextmanager
+def waited_for(path: Path) -> Iterator[None]:
+    """A lock that is held for an instant only, so that it is waited for."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def lock_is_held(path: Path) -> bool:
     """Whether a live process holds the lock file."""
     try:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,12 +38,13 @@ class Run:
     def status(self) -> Status:
         """`running` if a live process holds the lock, `interrupted` without lock and seal, else what the seal says.
 
-        `damaged` if header or seal are not as they were written; `verify` says more.
+        `damaged` if the journal or the seal are not as they were written; `verify` says more, also of the blocks.
         """
         if lock_is_held(self.path / LOCK):
             return "running"
         try:
-            seal, _ = self.seal, self.header_entry
+            seal = self.seal
+            self._refuse_damage(seal)
         except ArchiveError:
             return "damaged"
         status: Status = "interrupted" if seal is None else seal.body["status"]
@@ -75,14 +78,13 @@ class Run:
             raise ArchiveError(f"{SEAL}: {error}") from error
 
     def lines(self) -> Iterator[Entry]:
-        """Every line of the journal, oldest first, without a torn last one. Raises ArchiveError at a damaged one."""
-        number = 0
-        try:
-            for entry in journal.entries(self._raw()):
-                yield entry
-                number += 1
-        except BrokenLineError as error:
-            raise ArchiveError(f"{self.path / JOURNAL}: line {number + 1}: {error}") from error
+        """Every line of the journal, oldest first, up to a torn last one, or a damaged one: then the status says so.
+
+        Raises ArchiveError if not even the header can be read.
+        """
+        yield self.header_entry
+        with contextlib.suppress(BrokenLineError):
+            yield from itertools.islice(journal.entries(self._raw()), 1, None)
 
     def points(self) -> dict[int, Mapping[str, Any]]:
         """Bodies of the points done, by index; of a point measured twice, the later."""
@@ -123,7 +125,7 @@ class Run:
         status = self.status
         try:
             header: Mapping[str, Any] = self.header
-            done: int | None = self._points_done()
+            done: int | None = self._points_done(status)
         except ArchiveError:
             header, done = {}, None
         return {
@@ -153,21 +155,37 @@ class Run:
         with keeping(self.path / JOURNAL):
             return (self.path / JOURNAL).read_bytes()
 
-    def _points_done(self) -> int:
-        seal = self.seal
+    def _points_done(self, status: Status) -> int:
+        """As the seal says without reading the journal, unless what stands there can no longer all be read."""
+        seal = None if status == "damaged" else self.seal
         return len(self.points()) if seal is None else int(seal.body["points_done"])
+
+    def _refuse_damage(self, seal: Entry | None) -> None:
+        """Raises ArchiveError if the journal is not that of the seal, or without one, is broken anywhere."""
+        raw = self._raw()
+        if seal is None:
+            try:
+                sound = sum(1 for _ in journal.entries(raw)) > 0
+            except BrokenLineError:
+                sound = False
+        else:
+            sound = hashlib.sha256(raw).hexdigest() == seal.body["journal_sha256"]
+        if not sound:
+            raise ArchiveError(f"{self.path / JOURNAL}: found it damaged, wanted it as it was written")
 
     def _verified_lines(self) -> tuple[list[Entry], list[str]]:
         entries: list[Entry] = []
         problems: list[str] = []
         lines, torn = journal.split(self._raw())
         chain = journal.GENESIS
+        at = 0
         for n, raw in enumerate(lines):
             try:
                 entries.append(journal.read_line(raw, chain, n))
             except BrokenLineError as error:
-                problems.append(f"{JOURNAL} line {n + 1}: {error}")
+                problems.append(f"{JOURNAL} line {n + 1}, from byte {at}: {error}")
             chain = journal.claimed_chain(raw)
+            at += len(raw)
         if not lines:
             problems.append(f"{JOURNAL}: found no line, wanted a header")
         if torn and _is_line(torn[:-1] + b"\n", chain, len(lines)):  # whole but for its end: changed, not torn

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.archive import journal
-from rig.archive.durable import keeping, sync_folder, take_lock, write_whole
+from rig.archive.durable import keeping, sync_folder, take_lock, waited_for, write_whole
 from rig.archive.journal import BlockRef, Entry
 from rig.archive.reader import Run, Status
 from rig.archive.writer import BLOCKS, JOURNAL, LOCK, BlockStream, RunWriter
@@ -47,25 +47,28 @@ class Runs:
         """
         with keeping(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
+        with keeping(self.root), waited_for(self.root / ".lock"):
+            number = max((_sequence(run) for run in self.list()), default=0) + 1
             path = _new_folder(self.root, label or procedure)
             (path / BLOCKS).mkdir()
             lock = take_lock(path / LOCK)
             with _on_failure(lambda: os.close(lock)):
                 writer = _writer(path, lock, self.now, b"", header)
+            with _on_failure(writer.close):
+                writer.note("header", **{**header, "run": path.name, "procedure": procedure, "sequence": number})
         with _on_failure(writer.close), keeping(path):
-            writer.note("header", **{**header, "run": path.name, "procedure": procedure})
             writer.sync()
             sync_folder(path)
             sync_folder(self.root)
         return writer
 
     def list(self) -> Sequence[Run]:
-        """Every run, oldest first."""
+        """Every run, oldest first: by the numbers that they were given, whatever the clock did meanwhile."""
         if not self.root.is_dir():
             return []
         with keeping(self.root), os.scandir(self.root) as folder:
             runs = [Run(Path(item.path)) for item in folder if _has_journal(item.path)]
-        return sorted(runs, key=lambda run: (_begun(run), run.name))
+        return _in_order(runs)
 
     def open(self, name: str) -> Run:
         """The run of that name; `last` is the newest. Raises BadInput if there is none."""
@@ -155,6 +158,24 @@ def _has_journal(folder: str) -> bool:
         return os.stat(f"{folder}/{JOURNAL}").st_size > 0
     except OSError:
         return False
+
+
+def _sequence(run: Run) -> int:
+    """The number that a run was given; 0 if its header is damaged, or of before runs were numbered."""
+    try:
+        return int(run.header.get("sequence", 0))
+    except ArchiveError:
+        return 0
+
+
+def _in_order(runs: Sequence[Run]) -> list[Run]:
+    """By number; what has none stands behind the last that began before it."""
+    known = [(_begun(run), run.name, _sequence(run), run) for run in runs]
+    keyed, so_far = [], 0
+    for begun, name, number, run in sorted(known, key=lambda one: one[:2]):
+        so_far = max(so_far, number)
+        keyed.append((number or so_far, begun, name, run))
+    return [run for *_, run in sorted(keyed, key=lambda one: one[:3])]
 
 
 def _begun(run: Run) -> float:

@@ -61,7 +61,8 @@ class Basis:
             yield "no `alignment` in the bench file of every run: the budgets contain no misalignment"
         for records in self.runs:
             if records.status != "completed":
-                yield f"{records.name} is {records.status}: not every point of it was measured"
+                left = "read" if records.status == "damaged" else "measured"
+                yield f"{records.name} is {records.status}: not every point of it was {left}"
 
 
 def basis_of(runs: Sequence[Recorded], header: Mapping[str, Any], recorder: Recorder) -> Basis:

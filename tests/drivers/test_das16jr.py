@@ -404,6 +404,16 @@ def test_a_board_that_gives_no_data_is_no_answer_with_the_service_s_own_state(de
     board.close()
 
 
+def test_a_period_that_changes_under_way_ends_the_record(desk: Desk, board: das16jr.Das16jr) -> None:
+    board.configure(rate=3125.0, channels=NAMES)
+    board.start(None)
+    before = board.read(500)
+    desk.twin._convert_ns = 40_000
+    with pytest.raises(AcquisitionFailed, match=r"16 channels every 40000 ns.*what was configured"):
+        board.read(3000)
+    assert len(before.counts) == 500
+
+
 def test_conversions_that_are_missing_on_the_way_are_a_gap(desk: Desk, board: das16jr.Das16jr) -> None:
     board.configure(rate=3125.0, channels=NAMES)
     board.start(None)

@@ -258,6 +258,40 @@ def test_what_is_no_run_is_not_listed(runs: Runs, writer: RunWriter) -> None:
     assert [run.name for run in runs.list()] == [writer.name]
 
 
+def test_last_is_the_newest_also_after_the_clock_went_back(runs: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+    with runs.create("noise", HEADER) as first:
+        assert runs.open("last").name == first.name
+    monkeypatch.setattr("time.time", lambda: 1_000_000_000.0)
+    with runs.create("noise", HEADER, label="years ago") as second:
+        assert runs.open("last").name == second.name
+    assert [run.header["sequence"] for run in runs.list()] == [1, 2]
+
+
+def test_a_run_whose_header_is_damaged_keeps_its_place(runs: Runs) -> None:
+    names = []
+    for k in range(3):
+        with runs.create("noise", HEADER, label=f"run {k}") as writer:
+            names.append(writer.name)
+    journal_file = runs.root / names[-1] / "journal.jsonl"
+    journal_file.write_bytes(journal_file.read_bytes().replace(b"noise", b"nojse"))
+    assert [run.name for run in runs.list()] == names
+    assert runs.open("last").status == "damaged"
+
+
+def test_runs_that_begin_together_are_told_apart(tmp_path: Path) -> None:
+    program = """
+        import sys
+        from pathlib import Path
+        from rig.archive.runs import Runs
+        for k in range(5):
+            Runs(Path(sys.argv[1])).create("noise", {}, label=f"{sys.argv[2]} {k}").close()
+    """
+    command = [sys.executable, "-c", textwrap.dedent(program), str(tmp_path)]
+    together = [subprocess.Popen([*command, str(k)]) for k in range(3)]
+    assert [one.wait() for one in together] == [0, 0, 0]
+    assert [run.header["sequence"] for run in Runs(tmp_path).list()] == list(range(1, 16))
+
+
 def test_last_is_the_newest_whatever_its_name(runs: Runs, writer: RunWriter) -> None:
     newer = runs.create("noise", {})
     os.rename(newer.path, runs.root / "0000-renamed")
@@ -380,7 +414,7 @@ def test_lines_removed_put_in_or_moved_are_found(runs: Runs) -> None:
     run = filled(runs)
     (run.path / "seal.json").unlink()
     path = run.path / "journal.jsonl"
-    lines = path.read_bytes().splitlines(keepends=True)
+    lines, sound = path.read_bytes().splitlines(keepends=True), list(run.lines())
     for changed in (
         lines[:2] + lines[3:],
         [*lines[:2], lines[1], *lines[2:]],
@@ -389,8 +423,14 @@ def test_lines_removed_put_in_or_moved_are_found(runs: Runs) -> None:
     ):
         path.write_bytes(b"".join(changed))
         assert run.verify()
-        with pytest.raises(ArchiveError, match=r"journal\.jsonl: line \d: found"):
-            list(run.lines())
+        assert run.status == "damaged"
+        assert Run(run.path).summary()["status"] == "damaged"
+        if changed[0] == lines[0]:  # what stands before the damage is read, and nothing behind it
+            assert [entry.kind for entry in run.lines()] == [entry.kind for entry in sound[: len(list(run.lines()))]]
+            assert 0 < len(list(run.lines())) < len(sound)
+        else:
+            with pytest.raises(ArchiveError, match=r"journal\.jsonl: line 1: found"):
+                next(Run(run.path).lines())
 
 
 def test_lines_cut_off_the_end_of_a_sealed_run_are_found(runs: Runs) -> None:
@@ -416,6 +456,18 @@ def test_every_missing_or_changed_block_is_named(runs: Runs) -> None:
         run.block("none")
 
 
+def test_a_changed_line_of_a_sealed_run_costs_what_stands_behind_it(runs: Runs) -> None:
+    run = filled(runs)
+    path = run.path / "journal.jsonl"
+    whole = path.read_bytes()
+    at = whole.index(b'"frequency":40.0')
+    path.write_bytes(whole[:at] + b'"frequency":41.0' + whole[at + 16 :])
+    assert (run.status, run.summary()["points_done"], set(run.points())) == ("damaged", 1, {0})
+    begins = whole.rindex(b"\n", 0, at) + 1
+    assert any(f"line {whole[:at].count(10) + 1}, from byte {begins}: found" in problem for problem in run.verify())
+    assert [one.name for one in runs.list()] == [run.name]
+
+
 def test_a_seal_from_another_run_is_found(runs: Runs) -> None:
     one, other = filled(runs), filled(runs)
     shutil.copy(other.path / "seal.json", one.path / "seal.json")
@@ -431,6 +483,47 @@ def test_a_damaged_run_is_listed_as_damaged(runs: Runs) -> None:
     assert (summary["status"], summary["points_done"], summary["procedure"]) == ("damaged", None, None)
     assert {r.name for r in runs.list()} == {run.name, other.name}
     assert "seal.json: found no digest at the end of the line, wanted one" in run.verify()
+
+
+# what is promised of the disk
+
+
+def test_a_block_is_on_the_disk_before_the_journal_names_it(
+    runs: Runs, writer: RunWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    def watched(name: str) -> None:
+        real = getattr(os, name)
+
+        def call(first: Any, *rest: Any) -> Any:
+            path = first if isinstance(first, Path) else Path(os.readlink(f"/proc/self/fd/{first}"))
+            done.append(f"{name} {path.name}")
+            return real(first, *rest)
+
+        monkeypatch.setattr(os, name, call)
+
+    for name in ("write", "fsync", "rename"):
+        watched(name)
+    writer.block("a", np.zeros(3, np.uint16))
+    assert done == [
+        "write .a.u2.part", "fsync .a.u2.part", "rename .a.u2.part", "fsync blocks", "write journal.jsonl"
+    ]  # fmt: skip
+
+
+def test_a_line_of_the_journal_is_put_on_the_disk_without_being_asked(
+    writer: RunWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, synced = os.fdatasync, threading.Event()
+
+    def watched(descriptor: int) -> None:
+        real(descriptor)
+        if Path(os.readlink(f"/proc/self/fd/{descriptor}")) == writer.path / "journal.jsonl":
+            synced.set()
+
+    monkeypatch.setattr(os, "fdatasync", watched)
+    writer.note("a line", text="that a power cut must not cost")
+    assert synced.wait(20.0)  # half a second, on a machine that has time
 
 
 # when things go wrong

@@ -22,7 +22,7 @@ FIRST = [
 ]
 SECOND = [*FIRST, ("bench", "check"), ("bench", "safe")]
 TRUE = {"unit_a_x.sensitivity": 0.06628, "gyro_yaw.sensitivity": 0.2141}  # V/(m/s²), V/(rad/s), of this world
-WITHIN = 0.01  # relative
+WITHIN = 0.03  # relative; of four revolutions noise alone makes a third of that
 
 
 def test_of_two_programs_one_has_the_bench_and_the_other_is_refused(tmp_path: Path) -> None:

@@ -227,10 +227,23 @@ class TrackedMotion(Part):
         """Cosine lines of signals (k, n) within the bands, stretch after stretch, (k, width)."""
         from scipy.fft import dct
 
-        found = []
-        for (begin, end), f in zip(self.data.stretches, self._frequencies, strict=True):
-            found.append(dct(values[:, begin:end], type=2, norm="ortho", axis=1)[:, : len(f)])
-        return np.concatenate(found, axis=1)
+        found = np.empty((len(values), self.width))
+        for stretches, rows in self._equally_long:
+            together = np.stack([values[:, begin:end] for begin, end in stretches], axis=1)
+            lines = dct(together, type=2, norm="ortho", axis=-1)[..., : rows.shape[1]]
+            found[:, rows] = lines
+        return found
+
+    @cached_property
+    def _equally_long(self) -> list[tuple[list[tuple[int, int]], NDArray[np.intp]]]:
+        """Stretches of one length, which are transformed at once, and the rows of each, (stretches, lines)."""
+        alike: dict[int, list[int]] = {}
+        for k, length in enumerate(self._lengths):
+            alike.setdefault(int(length), []).append(k)
+        return [
+            ([self.data.stretches[k] for k in some], np.array([np.flatnonzero(self.stretch_of == k) for k in some]))
+            for some in alike.values()
+        ]
 
     @cached_property
     def _inside(self) -> Mask:
@@ -440,14 +453,24 @@ class TrackedMotion(Part):
         return np.concatenate(found)
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:
-        lines = self.lines(self.counting(np.asarray(raw, np.float64)))
-        found = lines / np.sqrt(self.variance)
-        for row, here, matrix, _ in self._gapped:
-            found[row, here] = matrix @ lines[row, here]
-        found *= self._inside
-        for row, (of_means, factor) in self._means.items():
-            found[row, of_means] = factor @ found[row, of_means]
-        return np.asarray(found.reshape(-1))
+        signals = self.counting(np.asarray(raw, np.float64))
+        found = np.zeros((len(signals), self.width))
+        some = np.flatnonzero(signals.any(axis=1))  # most effects change some channels and leave the others alone
+        for row, lines in zip(some.tolist(), self.lines(signals[some]), strict=True):
+            found[row] = self._whitened(row, lines[None])[0]
+        return found.reshape(-1)
+
+    def _whitened(self, row: int, lines: Array) -> Array:
+        """Rows of one channel from lines of signals of it, (k, width)."""
+        found = lines / np.sqrt(self.variance[row])
+        for gapped, here, matrix, _ in self._gapped:
+            if gapped == row:
+                found[:, here] = lines[:, here] @ matrix.T
+        found *= self._inside[row]
+        if row in self._means:
+            of_means, factor = self._means[row]
+            found[:, of_means] = found[:, of_means] @ factor.T
+        return np.asarray(found)
 
     @property
     def held_out(self) -> Mask:
@@ -551,14 +574,12 @@ class TrackedMotion(Part):
         ones show; what creeps looks like a step half-way, and more like a trend.
         """
         motion, channels = self.reference, self.channels
-        late = self._late
         for row, name in enumerate(channels.names):
             along = motion.rate if channels.rates[row] else motion.force
             for axis in range(3):
                 answer = along[axis] * channels.sensitivity[row]
                 moving = self._throughout(answer)[self.stretch_of] & (self.frequency_of > 0.0)  # a zero is no gain
-                columns = np.stack([self._of_channel(row, answer * law) for law in late], axis=1)
-                columns *= np.tile(moving, len(channels.names))[:, None]
+                columns = self._changed(row, answer, moving)
                 own = axis == int(channels.axis[row])
                 words = "gain" if own else f"answer to axis {'xyz'[axis]}"
                 always = columns[:, 0]
@@ -567,20 +588,33 @@ class TrackedMotion(Part):
                     yield name, f"its {words} in the course of time", columns[:, 1:-1]
                     yield name, "a trend" if own else f"a trend of its {words}", columns[:, -1:]
 
-    @cached_property
-    def _late(self) -> list[Array]:
-        """One for all instants, steps at some, and a trend, each (n,)."""
-        data = self.data
-        inside = np.concatenate([np.arange(begin, end) for begin, end in data.stretches])
-        order = np.arange(len(data.time), dtype=np.float64)
-        at = inside[np.linspace(0, len(inside) - 1, STEPS + 2)[1:-1].astype(np.intp)]
-        return [np.ones(len(order)), *(np.where(order < one, 0.0, 1.0) for one in at), order / len(order)]
+    def _changed(self, row: int, answer: Array, where: Mask) -> Array:
+        """An answer (n,) of a channel, begun at each of some instants, and with a trend: all rows, nothing of it but
+        `where` (width,), (rows, k); first that at all instants.
+        """
+        kept = answer if self.data.kept is None else answer * self.data.kept[row]
+        always, trend = self.lines(np.array([kept, kept * np.linspace(0.0, 1.0, len(kept))]))
+        lines = np.array([always, *(self._begun(kept, always, first) for first in self._steps), trend])
+        found = np.zeros((len(self.channels.names), self.width, len(lines)))
+        found[row] = (self._whitened(row, lines) * where).T
+        return found.reshape(self.rows, -1)
 
-    def _of_channel(self, row: int, values: Array) -> Array:
-        """Rows of a change (n,) of one channel's output, (rows,)."""
-        whole = np.zeros((len(self.channels.names), len(values)))
-        whole[row] = values
-        return self.whitened(whole)
+    @cached_property
+    def _steps(self) -> list[int]:
+        """Instants spread over all stretches."""
+        inside = np.concatenate([np.arange(begin, end) for begin, end in self.data.stretches])
+        return [int(inside[one]) for one in np.linspace(0, len(inside) - 1, STEPS + 2)[1:-1].astype(np.intp)]
+
+    def _begun(self, values: Array, always: Array, first: int) -> Array:
+        """Lines of a signal (n,) from an instant on, (width,): in all stretches but one they are known or nought."""
+        from scipy.fft import dct
+
+        begins, ends = np.array(self.data.stretches).T
+        found = np.where(begins[self.stretch_of] >= first, always, 0.0)
+        for k in np.flatnonzero((begins < first) & (first < ends)).tolist():
+            rest = values[begins[k] : ends[k]] * (np.arange(begins[k], ends[k]) >= first)
+            found[self.stretch_of == k] = dct(rest, type=2, norm="ortho")[: len(self._frequencies[k])]
+        return found
 
     def _throughout(self, own: Array) -> Mask:
         """Stretches that move most of the time: where motion begins, what the reference smooths looks like a gain."""

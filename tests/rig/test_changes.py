@@ -19,6 +19,7 @@ from rig.foreign.faults import left_out
 from rig.foreign.repeats import contradicted
 from rig.foreign.straying import findings as straying
 from rig.foreign.tables import Foreign
+from rig.parts.track import TrackedMotion
 from rig.shelf import shelf
 
 Array = NDArray[np.float64]
@@ -158,3 +159,30 @@ def test_a_sensor_stuck_at_the_turn_of_a_sine_is_found_though_little_moves_besid
     values[top - 13 : top + 13] = values[top - 13]
     (finding,) = left_out(with_values(made, 3, board=values))
     assert (finding.kind, len(finding.rows)) == ("frozen", 26)
+
+
+@pytest.mark.parametrize("gap", [False, True])
+def test_what_a_step_and_a_trend_do_is_as_the_rows_of_outputs_that_do_so_are(gap: bool) -> None:
+    made = rotation(clean(2), seconds=30.0)
+    if gap:
+        column = made.tables[0].values[:, made.tables[0].names.index("gyro_z")].copy()
+        column[700:760] = math.nan
+        made = with_values(made, 0, gyro_z=column)
+    (part,) = evidence(made).parts
+    assert isinstance(part, TrackedMotion)
+    row = list(part.channels.names).index("gyro_z")
+    answer = part.reference.rate[2] * part.channels.sensitivity[row]
+    there = {words: columns for name, words, columns in part.changes() if name == "gyro_z"}
+    trend = np.linspace(0.0, 1.0, len(answer))
+    moving = np.any(there["its gain in the course of time"], axis=1)
+    assert moving.sum() > 50
+    for words, law in (
+        ("a trend", trend),
+        ("its gain in the course of time", (np.arange(len(answer)) >= part._steps[5]).astype(float)),
+    ):
+        always, changed = (np.zeros((len(part.channels.names), len(answer))) for _ in range(2))
+        always[row], changed[row] = answer, answer * law
+        whole, expected = (part.whitened(one) * moving for one in (always, changed))
+        expected -= whole * (whole @ expected) / (whole @ whole)
+        found = there[words][:, 5 if "course" in words else 0]
+        assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())

@@ -93,13 +93,16 @@ were shown, which may be fewer than the study has.
 
 @dataclass(frozen=True)
 class Study:
-    """Everything that a page is made from. `peers` is a table, its head first; `made_by` the command."""
+    """Everything that a page is made from. `peers` is a table, its head first; `made_by` the command; `asked` how many
+    worlds that would make (0: those that are there).
+    """
 
     made_by: str
     found: Sequence[Trial]
     again: Sequence[Trial] = ()
     wire: Sequence[Mapping[str, Any]] = ()
     peers: Table = field(default=())
+    asked: int = 0
 
 
 def page(study: Study) -> str:
@@ -128,9 +131,13 @@ def page(study: Study) -> str:
 def _made(study: Study) -> str:
     worlds = len(study.found) + len(study.wire)
     return (
-        f"This page was made by `{study.made_by}` from {worlds} worlds.\n"
+        f"This page was made by `{study.made_by}` from {worlds} worlds{_of(study.asked, len(study.found))}.\n"
         "`make blind` without N makes the whole study, which takes hours; started again, it goes on where it was."
     )
+
+
+def _of(asked: int, there: int) -> str:
+    return f" (it was stopped before all {asked}; they are done in a mixed order)" if asked > there else ""
 
 
 def _section(title: str, text: str, body: Table = ()) -> Iterator[str]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from blind_trials import holds
-from blind_worlds import Answer, unsealed
+from blind_worlds import LEAST_FAULTY, Answer, unsealed
 
 BINS = (6.0, 10.0, 30.0, 100.0, 600.0)
 LARGEST_CLASS = 3
@@ -331,6 +331,9 @@ def _imported_one(found: list[Trial]) -> Iterator[Row]:
 
 def _faults(found: list[Trial]) -> Iterator[Row]:
     yield _row("imported, faults, d′ ≥ 30: adequate", found, lambda one: one.is_said("adequate"), "≤ 1 %")
+    shown = [one for one in found if one.answer.hidden[0].get("detected", 0.0) >= LEAST_FAULTY]
+    what = "… of those of d′ ≥ 30 in what is compared too, where gain and zero are free: adequate"
+    yield _row(what, shown, lambda one: one.is_said("adequate"), "")
     yield _row("… a physical effect named with p ≥ 0.9", found, lambda one: one.wrong_and_sure, "≤ 1 %")
     for name, here in _by(found, lambda one: f"{one.answer.names[0]}, {one.answer.bench}"):
         yield _row(f"… {name}: adequate", here, lambda one: one.is_said("adequate"), "")
@@ -409,7 +412,7 @@ def by_effect(found: Sequence[Trial]) -> list[tuple[str, str, str, str, str]]:
     made = []
     of: dict[tuple[str, str], list[Trial]] = defaultdict(list)
     for one in found:
-        if one.table == "one":
+        if one.table in ("one", "imported_one"):
             of[one.answer.bench, one.answer.names[0]].append(one)
     for (bench, name), here in of.items():
         instead: dict[str, int] = defaultdict(int)

@@ -74,7 +74,7 @@ def main() -> int:
         _over_the_wire(folder, asked)
     if asked.peers:
         _shown_to_peers(cases, folder, asked)
-    page = _page(folder, _made_by(asked))
+    page = page_of(folder, _made_by(asked), len(cases))
     written = Path(asked.page) if asked.page else folder / "table.md"
     written.write_text(page, encoding="utf-8")
     print(page)
@@ -184,7 +184,8 @@ def _note_engine(folder: Path) -> None:
         print(f"note: the program has changed since {folder} was begun; its results are kept, remove it to begin anew")
 
 
-def _page(folder: Path, made_by: str) -> str:
+def page_of(folder: Path, made_by: str, asked: int) -> str:
+    """The page of all results in a folder; `asked` is how many worlds the command makes."""
     found = blind_scores.trials(folder)
     pairs = []
     for one in found:
@@ -192,7 +193,9 @@ def _page(folder: Path, made_by: str) -> str:
         if path.exists():
             pairs.append((one.answer, json.loads(path.read_text(encoding="utf-8")), one.result))
     peers = blind_peers.table(pairs) if pairs else ()
-    return blind_page.page(blind_page.Study(made_by, found, blind_next.trials(folder), blind_wire.found(folder), peers))
+    return blind_page.page(
+        blind_page.Study(made_by, found, blind_next.trials(folder), blind_wire.found(folder), peers, asked)
+    )
 
 
 if __name__ == "__main__":

@@ -184,8 +184,7 @@ KINDS_OF_THE_SLICE = (  # table, bench, what is hidden, number
     ("imported_unknown", "motion", "", 0), ("imported_one", "rotation", "encoder_eccentricity", 0),
     ("imported_one", "motion", "lever_arm", 0), ("imported_one", "response", "delay", PAIRED),
     ("imported_strangers", "motion", "root_bias", 0), ("faults", "rotation", "glitch", 0),
-    ("faults", "sweep", "stuck", 0), ("faults", "poses", "clipping", 0), ("faults", "response", "drift", 0),
-    ("others", "shaker", "spur", 0),
+    ("faults", "sweep", "stuck", 0), ("faults", "poses", "clipping", 0), ("others", "shaker", "spur", 0),
 )  # fmt: skip
 
 

@@ -210,20 +210,22 @@ def _step(
 def _with_narrower(
     current: Fit, shelf: Mapping[str, Effect], choices: list[Choice], most: float, memory: search.Memory
 ) -> list[Choice]:
-    """Choices, and with them those that act on one channel or one unit, where such a one does clearly better than all
-    that act on every channel, of which a score promises no more than `most`: what all have promises less in a few.
+    """Choices, and with them those that act on one channel or one unit, where the data do not exclude such a one beside
+    those that act on every channel, of which a score promises no more than `most`.
+
+    What all have promises less in a few: an effect is only taken to be in a few if that does clearly better.
     """
-    terms = [
-        term
-        for on, only in search.narrower(current)
-        for term in search.possible(shelf, current, only=only) if term.on == on
-    ]  # fmt: skip
+    terms = search.alone(shelf, current)
     scored = search.scores(current, terms, memory) if terms else []
-    if not scored or scored[0].gain <= most:
+    if not scored or scored[0].gain <= most - CLASS:
         return choices
-    narrow = _choices(current, scored)
+    everywhere = {(one.name, one.term.on): one.merit for one in choices}
+    narrow = [
+        one for one in _choices(current, scored)
+        if one.merit > max(everywhere.get((one.name, one.term.on), 0.0), 0.0) + CLASS
+    ]  # fmt: skip
     best = max((one.merit for one in choices), default=0.0)
-    if not narrow or narrow[0].merit <= max(best, 0.0) + CLASS:
+    if not narrow or narrow[0].merit <= best - CLASS:
         return choices
     return _weighed([*narrow, *choices])
 
@@ -249,7 +251,10 @@ def _taken(current: Fit, choices: Sequence[Choice]) -> Step:
     after = best.fit
     # where more than noise is left, a difference counts for less (Birge)
     apart = CLASS * max(1.0, after.chi2 / max(after.count, 1))
-    near = [k for k, one in enumerate(choices) if k and one.possible and one.gain > best.gain - apart * one.doubt]
+    near = [
+        k for k, one in enumerate(choices)
+        if k and one.possible and max(one.gain - best.gain, one.merit - best.merit) > -apart * one.doubt
+    ]  # fmt: skip
     near = near[: LARGEST_CLASS - 1]
     members = (best, *(_polished(choices[k]) for k in near))
     rest = (one for k, one in enumerate(choices) if k and k not in near)
@@ -364,8 +369,14 @@ def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
 
 
 def chance(score: Score | Candidate) -> float:
-    """χ² that a candidate of this size and with so many starts may gain by chance."""
-    return CHANCE + PER_COORDINATE * (score.size - 1) + PER_START * math.log(score.steps) + _of_ways(score.ways)
+    """χ² that a candidate of this size and with so many starts may gain by chance.
+
+    What only shapes it is fitted too once it has a size: starts that stand for that are not paid twice.
+    """
+    shapes = sum(one.shape for one in score.term.effect.coordinates)
+    unseen = min(shapes, max(len(fitting.fitted(score.term)) - score.size, 0))
+    choice = max(PER_START * math.log(score.steps), PER_COORDINATE * unseen)
+    return CHANCE + PER_COORDINATE * (score.size - 1) + choice + _of_ways(score.ways)
 
 
 def _of_ways(ways: int) -> float:

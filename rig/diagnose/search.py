@@ -35,6 +35,7 @@ AWAY = (10.0, 100.0)  # steps of a coordinate: not straight any more
 MANY = 8  # starts in a row: of more, every second is tried first
 SETTLED = 0.02  # of χ²
 MOSTLY = 0.5  # of what is left in a quantity: less in one channel or unit is no reason to think that it is there alone
+MUCH = 0.25  # the same where something that all channels share may take up a part
 ALONE = 0.9  # of what is left in a unit: then it is that channel's, as far as anybody can tell
 TELLS = 0.5  # of a sensitivity's tolerance
 
@@ -103,11 +104,23 @@ def possible(shelf: Mapping[str, Effect], found: Fit, looks_in: str = "", only: 
     return result
 
 
-def narrower(found: Fit) -> list[tuple[Quantity, tuple[str, ...]]]:
-    """Where an effect may be in some channels only: one channel or one unit of a quantity in which most of what is left
-    stands, though others are driven as well.
+def alone(shelf: Mapping[str, Effect], found: Fit) -> list[Term]:
+    """Effects that one channel or one unit alone may have: those where most of what is left stands, and of the dynamics
+    also those where much of it does, since a delay that all channels share takes up part of what one of them has.
     """
-    places: list[tuple[Quantity, tuple[str, ...]]] = []
+    return [
+        term
+        for on, only, share in narrower(found)
+        for term in possible(shelf, found, only=only)
+        if term.on == on and (share > MOSTLY or term.effect.stage == "dynamics")
+    ]
+
+
+def narrower(found: Fit) -> list[tuple[Quantity, tuple[str, ...], float]]:
+    """Where an effect may be in some channels only: one channel or one unit of a quantity in which much of what is left
+    stands, and its share of that, though others are driven as well.
+    """
+    places: list[tuple[Quantity, tuple[str, ...], float]] = []
     above: dict[str, float] = {}
     for one in adequacy.groups(found):
         if one.z > adequacy.EXCEEDS:
@@ -116,11 +129,11 @@ def narrower(found: Fit) -> list[tuple[Quantity, tuple[str, ...]]]:
         channels, driven = _units(found.parts, on), _driven(found, on)
         total = sum(above.get(name, 0.0) for name in channels)
         for some in _some(channels):
-            share = sum(above.get(name, 0.0) for name in some)
-            alone = max(above.get(name, 0.0) for name in some)
-            told = len(some) == 1 or alone < ALONE * share
-            if total > 0.0 and share > MOSTLY * total and told and driven - set(some):
-                places.append((on, some))
+            here = sum(above.get(name, 0.0) for name in some)
+            most = max(above.get(name, 0.0) for name in some)
+            told = len(some) == 1 or most < ALONE * here
+            if total > 0.0 and here > MUCH * total and told and driven - set(some):
+                places.append((on, some, here / total))
     return places
 
 

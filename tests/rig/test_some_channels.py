@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from pathlib import Path
 
+import blind_worlds
+import fast_bench
 import numpy as np
 import pytest
 from imported_worlds import Unit, changed, evidence, motion
 
+from fixtures.channels import Channel
+from fixtures.imperfections import Array, Imperfection, Spectrum
 from rig.cli.repair import candidate_text, history_text, repaired_text
 from rig.diagnose import search
 from rig.diagnose.conclusion import conclude
-from rig.diagnose.diagnose import chance
+from rig.diagnose.diagnose import CHANCE, PER_COORDINATE, chance, diagnose
 from rig.errors import BadInput, ConfigError
+from rig.fit.evidence import evidence_of
 from rig.model import Term
 from rig.repair import repair
 from rig.repair.correction import correction_of
@@ -21,6 +27,7 @@ from rig.repair.model_file import load, save, terms_of
 from rig.repair.repair import Bench, Repaired, channels_named
 from rig.shelf import effect_of, nothing_of, shelf
 
+LATE = 1.3e-6  # s
 BENT = 0.1  # (rad/s)⁻²
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 
@@ -95,7 +102,7 @@ def test_what_all_channels_have_is_not_looked_for_in_one() -> None:
     for name in GYROS:
         made = changed(made, name, lambda v: v + BENT * v**3)
     found = evidence(made).fitted()
-    assert [some for on, some in search.narrower(found) if on == "rate"] == []
+    assert [some for on, some, _ in search.narrower(found) if on == "rate"] == []
 
 
 def test_the_best_of_so_many_channels_pays_for_them(bench: Bench) -> None:
@@ -133,3 +140,31 @@ def test_what_belongs_to_everything_is_on_no_channel_by_itself(bench: Bench, tmp
     with pytest.raises(ConfigError, match="it acts on everything alike"):
         load(path, shelf())
     assert nothing_of(effect_of("cubic"), "rate").only == ()
+
+
+class Late(Imperfection):
+    """One channel is late: an amplifier's filter."""
+
+    name = "late"
+
+    def response(self, channel: Channel, frequency: Array) -> Spectrum | float:
+        return np.exp(-2j * cmath.pi * LATE * frequency) if channel.name == "unit_a_x" else 1.0
+
+
+def test_a_delay_of_one_channel_is_in_the_class_of_the_skew_of_all_that_looks_alike() -> None:
+    """The decoder's own delay takes up half of it; only a third unit, which is noisy, tells one from the other."""
+    world = blind_worlds.with_more(fast_bench.world(12), [Late()])
+    swept = fast_bench.measure({"procedure": "frequency_sweep", "axis": "x", "points": 8}, world)
+    found = diagnose(evidence_of([swept]))
+    (step,) = found.steps
+    late = [one for one in step.members if (one.name, one.term.only) == ("delay", ("unit_a_x",))]
+    assert late
+    assert abs(late[0].term.at["time"] - LATE) < 4.0 * late[0].u["time"]
+    assert max(one.probability for one in step.members) < 0.9
+
+
+def test_what_only_shapes_an_effect_costs_as_much_as_what_has_a_size() -> None:
+    rocking = nothing_of(effect_of("rocking"), None)
+    assert chance(search.Score(rocking, rocking, 0.0, 1.0, 1)) == CHANCE + 2.0 * PER_COORDINATE
+    seen = chance(search.Score(rocking, rocking, 0.0, 1.0, 1, size=3))
+    assert seen == CHANCE + 2.0 * PER_COORDINATE

@@ -315,10 +315,13 @@ def _where_it_stands(choice: Choice, fit: Fit) -> tuple[Term, Array]:
 
 def stated(diagnosis: Diagnosis, choice: Choice) -> float:
     """The probability that is said of a choice: of the nearest to an unlisted effect no more than what it explains, and
-    never more than evens.
+    never more than evens. Nor is one likelier than evens whose parameters are not known apart: what is known is a limit
+    of its law, as the slope of an exponential, and other causes that nobody lists have that too.
     """
+    fit = choice.whole or choice.fit
     if diagnosis.verdict != "unlisted":
-        return choice.probability
+        loose = fit is not None and not choice.term.effect.looks_in and tied(*_where_it_stands(choice, fit))
+        return min(choice.probability, EVENS) if loose else choice.probability
     return min(EVENS, choice.probability * min(max(diagnosis.explained, 0.0), 1.0))
 
 

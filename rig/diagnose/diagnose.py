@@ -38,6 +38,7 @@ PER_COORDINATE = 5.0  # more of it for each further coordinate
 PER_START = 1.5  # and for every factor e of starts tried
 PER_WAY = 2.0  # and of channels or units that alone could have it, which do not go together as starts do (Bonferroni)
 FINDING = 30.0  # evidence that a test of its own must have
+ALONE = "a test of its own tells it from chance, and from no other effect"
 CLASS = 9.0  # χ² within which another effect is not excluded by the data
 LARGEST_CLASS = 3
 MOST_CERTAIN = 1e3  # χ²
@@ -364,7 +365,9 @@ def _by_test(evidence: Evidence, current: Fit, finding: Finding) -> Step:
     state = replace(current.state, terms=(*current.state.terms, finding.term))
     after = fitting.fit(current.parts, state, use=current.use)
     gain = current.objective - after.objective
-    choice = Choice(finding.term, finding.u, max(gain, finding.evidence), finding.evidence, 1.0, finding.because, after)
+    merit = min(finding.evidence - FINDING, MOST_CERTAIN)
+    choice = Choice(finding.term, finding.u, max(gain, finding.evidence), finding.evidence,
+                    1.0 / (1.0 + math.exp(-0.5 * merit)), f"{finding.because}; {ALONE}", after)  # fmt: skip
     return Step(choice, (choice,), (choice,), current, after)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from fixtures.world import World
 from rig.archive.journal import Entry
-from rig.archive.records import Signals
+from rig.archive.records import Recorded, Signals
 from rig.calibrate import checking
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, load, save, text
@@ -42,6 +42,9 @@ class Altered:
 
     def pieces(self, name: str) -> Iterator[Samples]:
         yield self.samples(name)
+
+    def earlier(self) -> Iterator[Recorded]:
+        return self._run.earlier()
 
     def traces(self, name: str) -> Signals:
         return self._run.traces(name)

@@ -162,7 +162,7 @@ def test_a_main_thread_that_waits_for_ever_is_found_though_others_go_on(instrume
         guard.beat(within=60.0)
         waits = time.monotonic()
         other.start()
-        assert instrument.answer() - waits < 5.0
+        assert instrument.answer() - waits < 30.0  # its step may take 60 s; how soon on a quiet machine: bench_guard
         over.set()
         other.join()
     assert "work has not got on" in events(tmp_path / "guard.jsonl")[1]["because"]

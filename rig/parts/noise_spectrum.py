@@ -34,7 +34,7 @@ from rig.signals.sheet_noise import GRID, OPEN, Levels, Scatter, mean_density, w
 SEEN = 25.0  # χ² that tells noise of another kind
 NEAR, STEPS = 0.01, 12  # how near to it in its logarithm, and in how many steps at most
 POWER_LAW = 2.0  # χ² of weak noise goes with the square of its power
-TINY = 1e-300
+TINY, FARTHEST = 1e-300, 20.0  # χ² of what changes nothing, and how far one step may go in the logarithm of a power
 LONG = 600.0  # s at rest, beyond which no more is asked for
 REMEMBERED = 64  # predictions of other models
 SIDES = (1.0, 50.0)  # Hz, between the kinds of row
@@ -254,14 +254,16 @@ class NoiseSpectrum(Part):
     def faintest(self, effect: Effect) -> Iterator[str]:
         for on in effect.quantities if self.acts(effect) and not effect.looks_in else ():
             if len(self.channels.of(on)):
-                term = Term(effect, on, effect.starts(self.reference, on)[0])
+                term = self._seen_from(Term(effect, on, effect.starts(self.reference, on)[0]))
+                if term is None:
+                    continue
                 first = effect.parameters[0]
-                value = effect.physical(self._seen_from(term).at)[first.name]
+                value = effect.physical(term.at)[first.name]
                 unit = effect.units(on)[0]
                 yield f"{term.key}: less than {value:.2g} {unit} would not be seen in {self.data.seconds:.0f} s at rest"
 
-    def _seen_from(self, term: Term) -> Term:
-        """The term as strong as just removes what chance hardly does."""
+    def _seen_from(self, term: Term) -> Term | None:
+        """The term as strong as just removes what chance hardly does; None if no strength does just that."""
         c, name = self.channels, term.effect.coordinates[0].name
         local = Local(c.sensitivity, c.pole, self.zeros)
         nothing, size, slope = self.raw(local, []), math.log(term.at[name]), POWER_LAW
@@ -270,12 +272,12 @@ class NoiseSpectrum(Part):
             there = term.moved(**{name: math.exp(size)})
             seen.append((size, math.log(max(np.sum((self.raw(local, [there]) - nothing) ** 2), TINY) / SEEN)))
             if abs(seen[-1][1]) < NEAR:
-                break
+                return there
             if len(seen) > 1:
                 (before, under), (now, over) = seen[-2:]
                 slope = min(max((over - under) / (now - before), 0.5 * POWER_LAW), 2.0 * POWER_LAW)
-            size -= seen[-1][1] / slope
-        return term.moved(**{name: math.exp(size)})
+            size -= min(max(seen[-1][1] / slope, -FARTHEST), FARTHEST)
+        return None
 
     @classmethod
     def signs(cls, parts: Sequence[Self]) -> Iterator[Sign]:

@@ -141,6 +141,14 @@ def test_what_would_just_be_seen_moves_the_bands_by_as_much_as_chance_hardly_doe
         assert np.sum((part.raw(local, [there]) - part.raw(local, [])) ** 2) == pytest.approx(SEEN, rel=0.25)
 
 
+@pytest.mark.parametrize("value", [0.0, math.nan])
+def test_of_what_changes_no_band_no_size_is_said(
+    value: float, evidences: dict[str, Evidence], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(NoiseSpectrum, "raw", lambda *_: np.full((1, 1), value))
+    assert list(part_of(evidences["clean"]).faintest(effect_of("white"))) == []
+
+
 def test_nothing_is_learned_of_sensitivity_and_pole_from_the_noise_of_the_sheet(evidences: dict[str, Evidence]) -> None:
     part = part_of(evidences["white"])
     local = Local(part.channels.sensitivity, part.channels.pole, part.zeros)

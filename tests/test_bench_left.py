@@ -8,12 +8,17 @@ import random
 import signal
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from driven import driving, on, plant, sources
 from in_process import Done, rig
 
 from rig.archive.runs import Runs
+from rig.bench.armed import Armed
+from rig.bench.assembly import occupied, state_folder
+from rig.bench.benchfile import describe
+from rig.bench.control import stop
 from rig.yaml.config import shipped
 
 SHORT = "procedure: frequency_sweep\naxis: x\npoints: 24\nstatic: 20 s\n"
@@ -87,6 +92,23 @@ def test_a_source_that_does_not_answer_any_more_is_not_safe_until_it_was_read_ba
         assert asked(tmp_path, "bench", "safe", *options).returncode == 0
         assert not on(sources(first.runs))
         assert asked(tmp_path, "bench", "check", *options).returncode == 0
+
+
+def test_what_was_left_armed_and_is_not_in_the_bench_file_is_not_said_to_be_off(tmp_path: Path) -> None:
+    description, runs = describe(shipped("benches/simulated.yaml")), tmp_path / "runs"
+    with occupied(description, runs) as possession:
+        armed = Armed.of(possession, ("analyzer", "amplifier"), tmp_path / "guard.jsonl", str(runs.resolve()))
+        armed.write()
+    try:
+        refused = asked(tmp_path, "bench", "safe")
+        assert refused.returncode == 1
+        assert "NOT SAFE: amplifier: it was left armed" in refused.stderr
+        assert asked(tmp_path, "bench", "check").stderr.startswith("NOT SAFE")
+        replace(armed, instruments=("analyzer",)).write()
+        assert asked(tmp_path, "bench", "safe").returncode == 0
+        assert asked(tmp_path, "bench", "check").returncode == 0
+    finally:
+        stop(state_folder(description, runs))
 
 
 def test_a_stopped_program_is_switched_off_soon_and_sends_nothing_when_it_goes_on(tmp_path: Path) -> None:

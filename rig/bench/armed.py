@@ -70,7 +70,7 @@ class Armed:
         return self.program.state == "alive" or (self.guard is not None and self.guard.state == "alive")
 
     def __str__(self) -> str:
-        names = ", ".join(self.instruments)
+        names = ", ".join(self.instruments) or "something"
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.program.since))
         by = f"bench {self.bench}, process {self.program.pid} ({self.program.command}) since {since}"
         return f"{names} of {by}: {self.reason or 'armed, and nobody has read it back as off'}"
@@ -104,6 +104,4 @@ def _read(file: Path) -> Armed | None:
         return None
     except (OSError, ValueError, TypeError, KeyError):
         reason = f"{file}: found something unreadable, wanted what was armed"
-        return Armed(
-            (str(file),), "of unknown name", ("something",), "", "", Holder(0, "", "", 0.0, "unknown"), None, reason
-        )
+        return Armed((str(file),), "of unknown name", (), "", "", Holder(0, "", "", 0.0, "unknown"), None, reason)

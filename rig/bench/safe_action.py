@@ -6,7 +6,7 @@ other from its safe state; what was read back is said of each. Then the bench is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from rig.archive.guard_log import GUARD_LOG, GuardLog
 from rig.archive.runs import Runs
-from rig.bench.armed import left_armed
+from rig.bench.armed import Armed, left_armed
 from rig.bench.assembly import connected, fittings, occupied
 from rig.bench.benchfile import BenchDescription
 from rig.bench.possession import Possession
@@ -55,8 +55,9 @@ def make_safe(description: BenchDescription, runs: Path) -> Done:
     """
     with occupied(description, runs, passing=True) as possession:
         left = left_armed(possession.armed)
+        found = tuple(_each(description, runs, possession))
         done = Done(
-            tuple(_each(description, runs, possession)),
+            (*found, *_not_here(left, found)),
             tuple(possession.passed),
             None if left is None else str(left),
             "turntable" in description.file.instruments,
@@ -76,6 +77,13 @@ def _each(description: BenchDescription, runs: Path, possession: Possession) -> 
             yield Found(role, True, "off, read back")
         except WorkFailed as error:
             yield Found(role, False, str(error))
+
+
+def _not_here(left: Armed | None, found: Sequence[Found]) -> Iterator[Found]:
+    """What was left armed and the bench file does not have: nobody has read it back."""
+    for name in () if left is None else left.instruments:
+        if name not in {one.role for one in found}:
+            yield Found(name, False, "it was left armed, and the bench file has no such instrument to read back")
 
 
 def _energises(driver: ModuleType) -> bool:

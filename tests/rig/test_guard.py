@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from rig.bench import guard as guard_of
 from rig.bench.armed import Armed, left_armed
 from rig.bench.control import Addresses, Control
 from rig.bench.guard import Charge, Guard, load_driver
@@ -152,6 +153,12 @@ def test_work_that_does_not_get_on_makes_the_guard_act_and_the_program_is_told(
             guard.disarm()
     assert named(tmp_path / "guard.jsonl") == ["armed", "acting", "made safe", "done"]
     assert events(tmp_path / "guard.jsonl")[1]["because"] == "work has not got on from token 2 in time"
+
+
+def test_what_hangs_is_acted_upon_within_five_seconds_by_the_times_that_the_guard_allows() -> None:
+    assert guard_of.SILENCE < 5.0  # of a program that was stopped just after a heartbeat
+    assert guard_of.PATIENCE + guard_of._BEAT < 5.0  # of work that hangs, by a token that came half a second late
+    assert 4.0 * guard_of._BEAT < guard_of.SILENCE  # and some heartbeats may be late
 
 
 def test_a_main_thread_that_waits_for_ever_is_found_though_others_go_on(instrument: Instrument, tmp_path: Path) -> None:

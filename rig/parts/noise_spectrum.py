@@ -275,7 +275,7 @@ class NoiseSpectrum(Part):
                 return there
             if len(seen) > 1:
                 (before, under), (now, over) = seen[-2:]
-                slope = min(max((over - under) / (now - before), 0.5 * POWER_LAW), 2.0 * POWER_LAW)
+                slope = min(max((over - under) / (now - before), 0.5 * POWER_LAW), 10.0 * POWER_LAW)
             size -= min(max(seen[-1][1] / slope, -FARTHEST), FARTHEST)
         return None
 

@@ -2,7 +2,8 @@
 
 A row is held against the polynomial of fifth degree through three rows on either side (Lagrange's, at their own times):
 what is sampled as finely as it should be lies on it up to noise. A row, or up to three together, stands alone if it is
-far off, and nothing thereabouts is once it is taken out: a knock lasts, or its neighbours feel it.
+far off, and nothing thereabouts is once it is taken out: a knock lasts, or its neighbours feel it. Where a case is
+handled, most knocks last and some are over within a row: there a row off is no exception.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ BLOCK = 100  # rows whose scatter is looked at together
 GAP = 1.3  # times the usual time between the outermost of them: one that is missing
 TOGETHER = 3  # rows
 MOST = 30  # places; where there are more they are no exception
+KNOCKS, SOME = 3, 0.2  # places, and share of the rows that stand alone, from which on a case is one that is handled
 STRICTER = 3.0  # power of how much heavier the tails are than normal noise's: noise has outermost rows of its own
 FEWEST = 100
 
@@ -42,7 +44,8 @@ def isolated(values: Array, time: Array) -> Rows:
     if held is None:
         return np.zeros(0, np.intp)
     heavier = max(1.0, _tails(held.share)) ** STRICTER
-    return held.rows[np.union1d(_standing(held, FAR * heavier), _alike(held, OFF * heavier)).astype(np.intp)]
+    found = np.union1d(_standing(held, FAR * heavier), _alike(held, OFF * heavier)).astype(np.intp)
+    return held.rows[_unlike_knocks(held, found)] if len(found) else found
 
 
 def jumping(values: Array, time: Array) -> NDArray[np.bool_]:
@@ -165,6 +168,32 @@ def _group(held: _Held, row: int) -> list[int]:
             if _off_alone(held, out := np.arange(first, first + count), row) > QUIET:
                 return [int(one) for one in out]
     return []
+
+
+def _unlike_knocks(held: _Held, found: Rows) -> Rows:
+    """Without those amid as much motion as goes with knocks, where these are no exception: places that stay off when
+    the farthest row is taken out.
+    """
+    filled = held.known.copy()
+    for out in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
+        filled[out] = _through(held, out, int(out[0]))
+    off = np.abs(_off(filled, held.weights)) / held.scatter
+    places = runs(np.convolve(off > QUIET, np.ones(2 * ABOUT + 1), mode="same") > 0.5)
+    worst = [first + int(np.argmax(off[first : first + count])) for first, count in places]
+    knocks = [row for row in worst if not _off_alone(held, np.array([row]), row)]
+    if len(knocks) < max(KNOCKS, SOME * len(found)):
+        return found
+    motion = _motion_beside(filled)
+    return np.asarray(found[motion[found] < motion[knocks].min()])
+
+
+def _motion_beside(values: Array) -> Array:
+    """How far values (n,) go on the livelier side of every row, a knock there not counted, (n,)."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    wide, away = 2 * ABOUT + 1, 3 * (ABOUT + 1) // 2
+    span = np.pad(maximum_filter1d(values, wide) - minimum_filter1d(values, wide), away, mode="edge")
+    return np.asarray(np.maximum(span[: len(values)], span[2 * away :]))
 
 
 def _alike(held: _Held, limit: float) -> list[int]:

@@ -20,7 +20,7 @@ from rig.report.sweep_figure import shaker
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINES, WIDEST = 3, 150  # of what is said below a figure, and characters of each
+SAID, WIDEST = 3, 150  # of what is said below a figure, and characters of a line
 Drawing = Callable[[Fit, Sequence[int], Sequence[Condition]], "Iterator[tuple[str, Figure]]"]
 
 
@@ -68,10 +68,10 @@ def draw(evidence: Evidence, fit: Fit, folder: Path, kinds: Sequence[str] = ("sv
 
 
 def _say_left_out(figure: Figure, parts: Sequence[Part]) -> None:
-    """Below: what looks wrong with the records, a line each."""
+    """Below: what looks wrong with the records, whole, or how many more there are."""
     found = list(dict.fromkeys(one.in_words for part in parts for one in part.faults))
-    more = [f"and {len(found) - LINES} more"] if len(found) > LINES else []
-    if said := [textwrap.shorten(one, WIDEST, placeholder=" …") for one in found[:LINES]] + more:
+    more = [f"and {len(found) - SAID} more: see findings"] if len(found) > SAID else []
+    if said := [textwrap.fill(one, WIDEST, subsequent_indent="    ") for one in found[:SAID]] + more:
         figure.supxlabel("\n".join(said), x=0.01, ha="left", color="#b00020", fontsize=7)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rig.diagnose.misfit import compare
 from rig.fit.evidence import Evidence
 from rig.fit.fit import Fit
+from rig.foreign.finding import Finding
 from rig.foreign.manifest_file import load
 from rig.foreign.tables import Foreign, Table
 from rig.model import Channels, Term
@@ -257,6 +258,18 @@ def test_what_was_left_out_is_marked_in_time_and_said_below_and_held_out_pieces_
     assert {one.get_label() for one in below.patches} <= {NOISE, "held out"}
     (path,) = draw(evidence(part), fit, tmp_path)
     assert "gyro_z: clipped at the top" in path.read_text(encoding="utf-8")
+
+
+def test_a_long_finding_is_said_whole_below_a_figure_and_of_many_how_many_more_there_are(tmp_path: Path) -> None:
+    (part,) = parts_of(rotation(Unit(), 5, rest=0.0, seconds=30.0, channels="r", jitter=1e-4))[0]
+    assert isinstance(part, TrackedMotion)
+    said = [Finding("alone", "log", f"{n} " + " ".join(f"word{n}{k}" for k in range(40))) for n in range(5)]
+    part.faults = tuple(said)
+    (path,) = draw(evidence(part), evidence(part).fitted(), tmp_path)
+    drawn = path.read_text(encoding="utf-8")
+    assert all(f"word{n}{k}" in drawn for n in range(3) for k in range(40))
+    assert "and 2 more: see findings" in drawn
+    assert "…" not in drawn
 
 
 def test_the_poses_are_off_by_what_is_said_of_them() -> None:

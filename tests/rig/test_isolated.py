@@ -87,3 +87,30 @@ def test_a_row_that_stands_alone_is_found_near_either_end_too(row: int) -> None:
     time, values = moving(3)
     values[row] += 25.0 * NOISE
     assert isolated(values, time).tolist() == [row]
+
+
+STILL, CYCLE = 600, 1000  # rows that a pose rests, and till the next one rests
+
+
+def handled(seed: int) -> Array:
+    """Eight poses at rest, and moves between them with knocks that ring for a third of a row up to ten rows."""
+    random, t = np.random.default_rng(seed), np.arange(8 * CYCLE)
+    values = NOISE * random.normal(size=len(t))
+    moving = np.clip((t % CYCLE - STILL) / (CYCLE - STILL), 0.0, 1.0)
+    for f in (0.9, 1.7, 2.9):
+        values += np.sin(np.pi * moving) ** 2 * np.sin(2.0 * np.pi * f * t / 100.0 + random.uniform(0.0, 6.0))
+    at = random.choice(np.flatnonzero((moving > 0.1) & (moving < 0.9)), 60, replace=False) + random.uniform(size=60)
+    for start, lasts, height in zip(at, 10.0 ** random.uniform(-0.5, 1.0, 60), random.normal(size=60), strict=True):
+        since = np.maximum(t - start, 0.0)
+        values += (t >= start) * 0.4 * height * np.exp(-since / lasts) * np.cos(2.5 * since)
+    return values
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_a_case_that_is_handled_knocks_within_a_row_are_motion_and_glitches_at_rest_are_found(seed: int) -> None:
+    values = handled(seed)
+    rows = STILL // 2 + CYCLE * np.arange(5)
+    values[rows] += 30.0 * NOISE
+    found = set(isolated(values, np.arange(len(values)) / 100.0).tolist())
+    assert set(rows.tolist()) <= found
+    assert len(found - set(rows.tolist())) <= 6  # of 60

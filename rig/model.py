@@ -177,6 +177,8 @@ class Effect:
     source: ClassVar[str]
     absorbed: ClassVar[str] = ""
     kinked: ClassVar[bool] = False  # a characteristic that is not smooth
+    contains: ClassVar[tuple[str, ...]] = ()  # effects that it is where some of its numbers are certain ones
+    entries: ClassVar[bool] = False  # each coordinate says something by itself, and a record may show some of them only
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"
     needs: ClassVar[tuple[str, ...]] = ()  # signals that a record must hold for it: temperature, supply, source

@@ -254,12 +254,21 @@ def _taken(current: Fit, choices: Sequence[Choice]) -> Step:
     apart = CLASS * max(1.0, after.chi2 / max(after.count, 1))
     near = [
         k for k, one in enumerate(choices)
-        if k and one.possible and max(one.gain - best.gain, one.merit - best.merit) > -apart * one.doubt
+        if k and one.possible and _behind(one, best) < apart * one.doubt
     ]  # fmt: skip
     near = near[: LARGEST_CLASS - 1]
     members = (best, *(_polished(choices[k]) for k in near))
     rest = (one for k, one in enumerate(choices) if k and k not in near)
     return Step(best, members, (*members, *rest), current, after)
+
+
+def _behind(one: Choice, best: Choice) -> float:
+    """By how much of χ² or merit, whichever is less, a choice is worse than the best.
+
+    One that contains the best always removes as much: it must be worth its further numbers.
+    """
+    more = best.name in one.term.effect.contains and (one.term.on, one.term.only) == (best.term.on, best.term.only)
+    return best.merit - one.merit if more else min(best.gain - one.gain, best.merit - one.merit)
 
 
 def _exchanged(

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 
 from rig.fit import adequacy
 from rig.fit import fit as fitting
-from rig.fit.fit import Fit, fitted
+from rig.fit.fit import HIDDEN, TOLD, Fit, fitted, unseen_of
 from rig.model import BOTH, Effect, Quantity, Term
 from rig.motion import Array
 from rig.parts.part import Part
 
-HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
 ROUNDING = 1e-6  # of a column's norm: less is no more than rounding
-TOLD = 1.0  # standard deviations that a step of the coordinate makes outside the span
 NARROW = 0.2  # of a column's norm outside the span: below it a refit needs all columns afresh
 REACH = 0.7  # of the best's gain: a quick refit that removes less was never seen to become the best
 WIDTH = 1.0  # decades: by how much sizes scatter beyond those that are usual
@@ -55,6 +53,7 @@ class Score:
     steps: int  # starts that were tried
     size: int = 1  # coordinates that the data see
     ways: int = 1  # to choose the channels that have it
+    unseen: tuple[str, ...] = ()  # entries that the data do not show, while others show
 
 
 @dataclass(frozen=True)
@@ -247,7 +246,9 @@ def _scored(sight: _Sight, term: Term) -> Score:
         best = Score(term, term, 0.0, 0.0, steps)
     visible, size = (one.visible for one in tried), (one.size for one in tried)
     ways = ways_of(sight.found.parts, term)
-    return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]), ways=ways)
+    unseen = tuple(name for name in fitted(term) if tried and all(name in one.unseen for one in tried))
+    return replace(best, visible=max([best.visible, *visible]), steps=steps, size=max([best.size, *size]), ways=ways,
+                   unseen=unseen)  # fmt: skip
 
 
 def _starts(sight: _Sight, term: Term, parts: Sequence[int]) -> list[dict[str, float]]:
@@ -287,6 +288,8 @@ def _from(sight: _Sight, term: Term) -> Score:
     steps = np.array([c.step for c in term.effect.coordinates if not c.searched])
     told = np.sqrt(np.maximum(np.diag(outside), 0.0)) * steps > TOLD
     good = (seen > HIDDEN) | ((seen > ROUNDING) & told)
+    if term.effect.entries:
+        good &= ~unseen_of(term, outside, np.diag(own))
     seen = np.where(good, np.maximum(seen, 1.01 * HIDDEN), seen)
     target = columns.T @ left - inside.T @ sight.inverse @ pull
     if good.any():
@@ -303,7 +306,9 @@ def _from(sight: _Sight, term: Term) -> Score:
         seen = np.append(seen, 1.0)
     at = dict(zip(fitted(term), step.tolist(), strict=True))
     where = term.moved(**{name: term.at[name] + change for name, change in at.items()})
-    return Score(term, where, gained, float(seen.max(initial=0.0)), 1, max(int(np.count_nonzero(good)), 1))
+    unseen = tuple(name for name, one in zip(at, good, strict=True) if term.effect.entries and not one)
+    return Score(term, where, gained, float(seen.max(initial=0.0)), 1, max(int(np.count_nonzero(good)), 1),
+                 unseen=unseen)  # fmt: skip
 
 
 def _pull(sight: _Sight, left: Array) -> Array:
@@ -354,9 +359,10 @@ def _quickly(sight: _Sight, score: Score) -> Candidate:
     if begun is None:  # the linear estimate is beyond where the effect has values
         return _afresh(found, score)
     state, left, objective = begun
-    normal = found.normal
+    normal, held = found.normal, [fitted(score.term).index(name) for name in score.unseen]
     for _ in range(ROUNDS):
         columns = _candidate_columns(sight, state)
+        columns[:, held] = 0.0
         cross = sight.cross(columns)
         normal = np.block([[found.normal, cross], [cross.T, columns.T @ columns]])
         gradient = np.concatenate([_gradient(sight, state, left), columns.T @ left[sight.counting]])

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from rig.diagnose.search import HIDDEN, Score
+from rig.diagnose.search import Score
 from rig.fit.evidence import Evidence
+from rig.fit.fit import HIDDEN
 from rig.model import Effect
 from rig.parts import experiments
 
@@ -24,9 +25,20 @@ def cannot_see(
 
     Of imported records alone nothing is said about this bench's own experiments.
     """
+    scores = tuple(scores)
     if evidence.imported:
-        return tuple(dict.fromkeys([*misplaced, *evidence.blind, *_unlogged(evidence, shelf), *_within(scores)]))
-    said = [*misplaced, *experiments.lacks(evidence.parts), *_hidden(evidence, scores), *_elsewhere(evidence, shelf)]
+        return tuple(
+            dict.fromkeys(
+                [*misplaced, *evidence.blind, *_unlogged(evidence, shelf), *_within(scores), *_entries(scores)]
+            )
+        )
+    said = [
+        *misplaced,
+        *experiments.lacks(evidence.parts),
+        *_hidden(evidence, scores),
+        *_entries(scores),
+        *_elsewhere(evidence, shelf),
+    ]
     said += [
         *_unlogged(evidence, shelf),
         *_absorbed(evidence, shelf),
@@ -43,6 +55,14 @@ def _within(scores: Iterable[Score]) -> Iterator[str]:
     names = sorted({score.start.key for score in scores if score.visible < HIDDEN})
     if names:
         yield f"within what the model fits anyway, and so not seen in this data: {', '.join(names)}"
+
+
+def _entries(scores: Iterable[Score]) -> Iterator[str]:
+    """Of effects that these runs show in part, what they do not show."""
+    for one in scores:
+        if one.unseen and one.visible > HIDDEN:
+            effect = one.start.effect
+            yield f"{one.start.key}: nothing here shows {', '.join(one.unseen)} by itself; {effect.separate_by}"
 
 
 def _unlogged(evidence: Evidence, shelf: Mapping[str, Effect]) -> Iterator[str]:

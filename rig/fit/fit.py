@@ -28,6 +28,8 @@ ITERATIONS = 12
 HALVINGS = 5
 CORRECTIONS = 5  # steps with the same columns
 ROUNDING = 1e-13  # of the largest output
+HIDDEN = 1e-3  # of a column's norm, outside the span of the model: below it an effect cannot be seen
+TOLD = 1.0  # standard deviations that a step of the coordinate makes outside the span: then it is seen all the same
 NEGLIGIBLE = 1e-11  # of a scaled normal matrix: directions that the data do not see
 
 
@@ -353,10 +355,40 @@ def linearised(parts: Sequence[Part], state: State, use: NDArray[np.bool_] | Non
     values, weights = prior_of(parts, state)
     normal[np.diag_indices(order.size)] += weights
     downhill -= weights * values
+    for first, term in zip(order.terms, state.terms, strict=True):
+        _hold(normal, downhill, first, term)
     return Fit(
         tuple(parts), state, order, left, tuple(blocks), normal, downhill, float(left @ left),
         float(values**2 @ weights), use,
     )  # fmt: skip
+
+
+def _hold(normal: Array, downhill: Array, first: int, term: Term) -> None:
+    """Leave the entries of a term that nothing shows where they are: no step, no uncertainty, and none of what other
+    parameters say."""
+    if not term.effect.entries or term.prior:
+        return
+    own = first + np.arange(len(fitted(term)))
+    others = np.setdiff1d(np.arange(len(normal)), own)
+    across = normal[np.ix_(others, own)]
+    outside = normal[np.ix_(own, own)] - across.T @ inverse(normal[np.ix_(others, others)]) @ across
+    unseen = own[unseen_of(term, outside, np.diag(normal)[own])]
+    normal[unseen, :], normal[:, unseen], downhill[unseen] = 0.0, 0.0, 0.0
+
+
+def unseen_of(term: Term, outside: Array, own: Array) -> NDArray[np.bool_]:
+    """Which coordinates show nothing that the model, or those before them, do not show as well, (k,).
+
+    `outside` (k, k): products of their columns outside the span of the model; `own` (k,): squares of the whole columns.
+    """
+    steps = {c.name: c.step for c in term.effect.coordinates}
+    left, unseen = outside.copy(), np.zeros(len(own), bool)
+    for k, name in enumerate(fitted(term)):
+        seen = max(float(left[k, k]), 0.0)
+        unseen[k] = seen <= HIDDEN**2 * own[k] and seen * steps[name] ** 2 <= TOLD**2
+        if not unseen[k]:
+            left = left - np.outer(left[:, k], left[k]) / seen
+    return unseen
 
 
 def _refuse_no_numbers(parts: Sequence[Part], left: Array) -> None:

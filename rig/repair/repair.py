@@ -262,7 +262,7 @@ def _by_score(base: Repaired, effect: Effect, on: Quantity | None, channels: tup
         wanted = f"an effect that is not in the model and can act here (this one: {kinds}, on the {places})"
         raise BadInput(f"add: found {effect.name}{f' on {on}' if on else ''}, wanted {wanted}")
     best = search.scores(base.fit, candidates)[0]
-    if best.visible < search.HIDDEN:
+    if best.visible < fitting.HIDDEN:
         raise BadInput(
             f"add: found {effect.name}, which these runs cannot tell from what is fitted anyway, "
             f"wanted another measurement: {effect.separate_by}"

@@ -100,6 +100,7 @@ STATIC: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "warm_up": {"shift": (-1.0, 1.0), "time_constant": (5.0, 500.0)},
     "buffer_gain": {"error": (-0.1, 0.1)},
     "cross_axis": {"share": (-0.2, 0.2)},
+    "cross_axis_matrix": dict.fromkeys(("xy", "xz", "yx", "yz", "zx", "zy"), (-0.15, 0.15)),
     "non_orthogonality": {"yz": (-0.2, 0.2), "zy": (-0.2, 0.2), "zx": (-0.2, 0.2)},
     "g_sensitivity": {"coefficient": (-0.01, 0.01)},
     "lever_arm": {"x": (-0.01, 0.01), "y": (-0.01, 0.01), "z": (-0.01, 0.01)},

@@ -90,8 +90,13 @@ def _fitted(records: Sequence[Array], rate: float, near: float, place: int, evid
     tried = near + np.linspace(-1.0, 1.0, 2 * FINE + 1) * rate / count
     window = 1.0 - np.cos(2.0 * math.pi * (np.arange(count) + 0.5) / count)
     level = [_around(_powers(one))[place] for one in records]  # of Hann's lines, (c,)
-    waves = np.exp(-2j * math.pi * np.outer(tried, time)) * (2.0 / count) * window
-    lines = np.array([waves @ (one - one.mean(axis=0)) for one in records])  # (records, tried, c)
+    wave = np.exp(-2j * math.pi * tried[0] * time) * (2.0 / count) * window
+    step = np.exp(-2j * math.pi * (tried[1] - tried[0]) * time)
+    lines = np.empty((len(records), len(tried), records[0].shape[1]), np.complex128)
+    centred = [one - one.mean(axis=0) for one in records]
+    for at in range(len(tried)):
+        lines[:, at] = [wave @ one for one in centred]
+        wave = wave * step  # which is the next one's: a product costs a fraction of an exponential
     power = np.sum(np.abs(lines) ** 2 / np.array(level)[:, None], axis=(0, 2))
     best = int(power.argmax())
     shown = lines[:, best]

@@ -28,7 +28,7 @@ from rig.repair.repair import Repaired, added, bench_of, channels_named, new
 from rig.shelf import shelf
 
 SWEEP = {"procedure": "frequency_sweep", "axis": "x"}
-TURNS = {"procedure": "turntable", "revolutions": 10, "rest": "30 s", "all": True}
+TURNS = {"procedure": "turntable", "revolutions": 6, "rest": "10 s", "all": True}
 
 
 @dataclass

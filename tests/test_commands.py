@@ -170,7 +170,12 @@ def test_an_expectation_that_is_not_met_is_exit_code_3(bench: Bench, tmp_path: P
         "procedure: frequency_sweep\naxis: x\npoints: 1\nexpect: {sensitivity: {within: [700 mV/g, 710 mV/g]}}\n"
     )
     assert "wanted 700.00 to 710.00 mV/g" in bench.rig("run", str(wanting), wanted=3).stderr
-    assert bench.json("show")["status"] == "completed"
+    shown = bench.json("show")
+    assert shown["status"] == "completed"
+    assert ["wanted 700.00 to 710.00 mV/g" in one for one in shown["unmet"]] == [True]
+    assert "completed, 1 limit not met" in bench.rig("runs").stdout
+    assert "not met: expect sensitivity" in bench.rig("show").stdout
+    assert json.loads(bench.rig("verify", "--json").stdout)["sound"]
 
 
 def test_a_standard_past_its_date_is_refused_and_the_override_is_on_record(bench: Bench, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive import journal
-from rig.archive.durable import keeping, lock_is_held
+from rig.archive.durable import keeping, lock_is_held, write_whole
 from rig.archive.guard_log import GUARD_LOG, GuardLog
 from rig.archive.journal import BlockRef, BrokenLineError, Entry
 from rig.archive.writer import JOURNAL, LOCK, SEAL
 from rig.errors import ArchiveError, BadInput
+
+UNMET = "unmet.json"  # what an `expect` missed, judged when the record was whole already
 
 Status = Literal["running", "interrupted", "completed", "failed", "aborted", "damaged"]
 
@@ -137,7 +140,21 @@ class Run:
             "simulated": header.get("simulated"),
             "path": str(self.path),
             "not_safe": self.not_safe if status != "running" else None,
+            "unmet": list(self.unmet),
         }
+
+    @property
+    def unmet(self) -> Sequence[str]:
+        """What the procedure's `expect` missed when the run was concluded; nothing if all was met, or none judged."""
+        try:
+            found = json.loads((self.path / UNMET).read_bytes())
+        except (OSError, ValueError):
+            return ()
+        return tuple(map(str, found)) if isinstance(found, list) else ()
+
+    def keep_unmet(self, missed: Sequence[str]) -> None:
+        """Keep it beside the sealed record. Raises ArchiveError."""
+        write_whole(self.path / UNMET, json.dumps(list(missed), ensure_ascii=False).encode())
 
     @property
     def not_safe(self) -> str | None:

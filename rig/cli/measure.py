@@ -9,12 +9,11 @@ YAML](procedures.md). With `--json` a measurement prints what `rig show` prints,
  "figures": ["runs/reports/2026-11-24T130109-sweep-x/response.svg"],
  "rows": [{"channel": "unit_a_x", "key": "unit_a_x.sensitivity", "value": 0.06629, "unit": "V/(m/s²)", "u": 0.00033,
            "k": 1.96, "expanded": 0.00065, "status": "determined", "verdict": "pass", "check": null, "method": "…",
-           "reference": "…", "remarks": []}],
- "unmet": []}
+           "reference": "…", "remarks": []}]}
 ```
 
 `elapsed` and `shares` are seconds of real time. `rows` are the results of this run alone, as `rig calibrate` gives
-them. `unmet` lists what an `expect` missed; then the exit code is 3. With `--dry-run --json`:
+them. If `unmet` lists anything, the exit code is 3. With `--dry-run --json`:
 
 ```json
 {"title": "Frequency sweep, x", "points": 1, "duration": 152.7,

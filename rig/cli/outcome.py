@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,8 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     figure = draw(records, made, order.runs / "reports" / run.name)
     rows = [] if made is None else key_results(made, records)
     missed = list(unmet(order.plan, made))
+    if order.plan.expect:
+        run.keep_unmet(missed)
     if as_json:
         print_json(
             {
@@ -43,7 +45,6 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
                 "shares": dict(done.shares),
                 "figures": [str(p) for p in figure],
                 "rows": [{"channel": r.channel, **row_of(r)} for r in rows],
-                "unmet": missed,
             }
         )
     else:
@@ -146,7 +147,9 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
     mark = "  SIMULATED" if summary["simulated"] else ""
     lines = [
         f"run {run.name}{mark}",
-        f"  {run.header['title']}: {summary['status']}, {summary['points_done']} of {summary['points_total']} points",
+        f"  {run.header['title']}: {status_text(summary)}, "
+        f"{summary['points_done']} of {summary['points_total']} points",
+        *(f"  not met: {one}" for one in summary["unmet"]),
     ]
     if made is None:
         return [*lines, f"  not calibrated: {why}"]
@@ -157,6 +160,12 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
         lines += ["  (expanded uncertainty for 95 %, from this run alone)"]
     lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
     return [completed(line) for line in (*lines, *(f"  note: {flag}" for flag in made.flags))]
+
+
+def status_text(summary: Mapping[str, Any]) -> str:
+    """How a run ended, and how many of its limits were not met."""
+    count = len(summary["unmet"])
+    return f"{summary['status']}, {count} {'limit' if count == 1 else 'limits'} not met" if count else summary["status"]
 
 
 def unmet(plan: Plan, made: Calibration | None) -> Iterator[str]:

@@ -21,6 +21,7 @@ def runs(runs: Path, as_json: bool) -> None:
     `--json` gives a list of what `rig show --json` prints.
     """
     from rig.archive.runs import Runs
+    from rig.cli import outcome
 
     rows = [run.summary() for run in Runs(runs).list()]
     if as_json:
@@ -30,12 +31,12 @@ def runs(runs: Path, as_json: bool) -> None:
         click.echo(f"no runs in {runs} yet")
         say_next(command("sweep", "--axis", "x"))
         return
-    width = max(len(row["run"]) for row in rows)
-    for row in rows:
+    said = [outcome.status_text(row) for row in rows]
+    width, wide = max(len(row["run"]) for row in rows), max(11, *map(len, said))
+    for row, status in zip(rows, said, strict=True):
         mark = ("  SIMULATED" if row["simulated"] else "") + ("  NOT SAFE" if row["not_safe"] else "")
-        click.echo(
-            f"{row['run']:<{width}}  {row['status']:<11}  {row['points_done']:>4} of {row['points_total']:<4}{mark}"
-        )
+        done, total = ("?" if row[key] is None else row[key] for key in ("points_done", "points_total"))
+        click.echo(f"{row['run']:<{width}}  {status:<{wide}}  {done:>4} of {total:<4}{mark}")
     say_next(command("show", rows[-1]["run"]))
 
 
@@ -49,12 +50,13 @@ def show(name: str, runs: Path, as_json: bool) -> None:
     \f
     ```json
     {"run": "2026-11-24T130059-sweep-x", "procedure": "frequency_sweep", "status": "completed", "points_done": 48,
-     "points_total": 48, "simulated": true, "path": "runs/2026-11-24T130059-sweep-x", "not_safe": null}
+     "points_total": 48, "simulated": true, "path": "runs/2026-11-24T130059-sweep-x", "not_safe": null, "unmet": []}
     ```
 
     `status` is one of the [states](../explanation/records-and-durability.md#seal-and-states). In a damaged run what is
-    unknown is `null`. `not_safe` says what the run left energised, as far as is known by the log of its guard. An
-    imported run has `findings` besides, as `rig import` gives them.
+    unknown is `null`. `not_safe` says what the run left energised, as far as is known by the log of its guard. `unmet`
+    lists what an `expect` missed when the run was concluded. An imported run has `findings` besides, as `rig import`
+    gives them.
     """
     from rig.archive.runs import Runs
     from rig.cli import outcome

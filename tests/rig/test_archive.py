@@ -219,6 +219,7 @@ def test_only_a_run_with_all_its_points_is_completed(runs: Runs, writer: RunWrit
         "simulated": True,
         "path": str(writer.path),
         "not_safe": None,
+        "unmet": [],
     }
 
 
@@ -483,6 +484,14 @@ def test_a_damaged_run_is_listed_as_damaged(runs: Runs) -> None:
     assert (summary["status"], summary["points_done"], summary["procedure"]) == ("damaged", None, None)
     assert {r.name for r in runs.list()} == {run.name, other.name}
     assert "seal.json: found no digest at the end of the line, wanted one" in run.verify()
+
+
+def test_what_was_not_met_is_kept_beside_the_sealed_run_and_damage_to_that_costs_nothing_else(runs: Runs) -> None:
+    run = filled(runs)
+    run.keep_unmet(["expect a: found 2, wanted 1"])
+    assert (run.summary()["unmet"], run.verify()) == (["expect a: found 2, wanted 1"], [])
+    (run.path / "unmet.json").write_text("{")
+    assert (run.status, run.unmet) == ("completed", ())
 
 
 # what is promised of the disk

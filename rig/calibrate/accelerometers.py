@@ -295,7 +295,10 @@ def curvature_result(seen: Observed, channel: str, chain: Chain, nominal_pole: f
     if not _two_levels(seen):
         why = "one level at every frequency: amplitude and frequency cannot be told apart; wanted two levels"
         return not_determined(channel, "nonlinearity", title, "1", why)
-    fit = fit_channel(seen, channel, chain, nominal_pole, highest)
+    try:
+        fit = fit_channel(seen, channel, chain, nominal_pole, highest)
+    except BadInput as error:
+        return not_determined(channel, "nonlinearity", title, "1", str(error))
     u = fit.adjustment.u("curvature") * fit.misfit.factor
     line = Contribution("noise of the records", "A", "normal", u, "1", 1.0, _dof(fit))
     return Result(

@@ -21,10 +21,11 @@ from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
 from rig.calibrate.input_noise import noise_results, scales_of
 from rig.calibrate.joined import joined, of_model
+from rig.calibrate.judging import judged
 from rig.calibrate.merging import together
+from rig.calibrate.screening import Screened, screened
 from rig.calibrate.shaker_runs import ShakerRuns
 from rig.calibrate.turntable_runs import TurntableRuns
-from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.parts.reading import by_cube
@@ -70,14 +71,16 @@ def _of_bench(
     """Of the bench's own runs."""
     header = _common_header(runs)
     sensor = Sensor.of(header)
-    basis = basis_of(runs, header, recorder_of(runs, sensor, recorder))
+    chosen = recorder_of(runs, sensor, recorder)
+    looked = Screened(tuple(runs)) if chosen == "cube" else screened(runs, sensor)
+    basis = basis_of(looked.runs, header, chosen)
     assumed = assumed if basis.recorder in READERS else None
-    fits, unfitted = ({}, ()) if assumed is None else _fitted(runs, assumed, basis.recorder)
+    fits, unfitted = ({}, ()) if assumed is None else _fitted(looked.runs, assumed, basis.recorder)
     shaken = ShakerRuns(basis)
     turned = TurntableRuns(basis)
     results = _on_model(shaken, turned, assumed, fits)
     results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
-    results = list(said(results, basis.recorder))
+    results = [*looked.flagged(said(results, basis.recorder)), *looked.rows(sensor)]
     _refuse_nothing(runs, results)
     second = second_route(basis.runs, sensor, shaken.setup())
     if second is not None:
@@ -96,7 +99,7 @@ def _of_bench(
         analyzer={} if second is None else second.responses(),
         paper=tuple(_paper(shaken, basis)),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
-        flags=tuple(dict.fromkeys([*unfitted, *_flags(basis, shaken, turned, second)])),
+        flags=tuple(dict.fromkeys([*looked.flags(), *unfitted, *_flags(basis, shaken, turned, second)])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
         model="" if assumed is None else assumed.said,
@@ -137,7 +140,7 @@ def _noise(basis: Basis, results: Sequence[Result], shaken: ShakerRuns, turned: 
 
 
 def _refuse_nothing(runs: Sequence[Recorded], results: Iterable[Result]) -> None:
-    if not any(r.determined for r in results):
+    if not any(r.determined or r.rejected for r in results):
         raise BadInput(f"{', '.join(r.name for r in runs)}: found nothing that determines a value, wanted a sweep, "
                        "a turntable run, a tumble or a noise record")  # fmt: skip
 
@@ -210,16 +213,10 @@ def _ordered(results: Iterable[Result], sensor: Sensor) -> list[Result]:
 
 
 def _judged(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
-    """Sensitivities against the data sheet's tolerance, with a guard band of U."""
+    """Sensitivities against the data sheet's sign and tolerance."""
     for result in results:
         channel = sensor.channel(result.channel) if result.channel in sensor else None
-        if result.measurand != "sensitivity" or result.value is None or channel is None or channel.tolerance is None:
-            yield result
-            continue
-        low, high = sorted(channel.nominal * (1.0 + sign * channel.tolerance) for sign in (-1.0, 1.0))
-        said = verdict(abs(result.value), result.expanded, low, high)
-        # a model that leaves something over says nothing about limits
-        yield replace(result, low=low, high=high, verdict="inconclusive" if result.status == "flagged" else said)
+        yield result if channel is None else judged(result, channel.nominal, channel.tolerance)
 
 
 def digest_of(seal: bytes) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from rig.sensor import AXES, ROTATIONS, Sensor
 
 FORMAT = 1
 PROBABILITY = 0.95
+SIGN_REVERSED = "sign reversed"  # the first words of why a verdict is `fail`, where it is not the size
 
 Status = Literal["determined", "flagged", "not determined"]
 Verdict = Literal["pass", "fail", "inconclusive"]
@@ -86,6 +87,17 @@ class Result:
         return self.value is not None
 
     @property
+    def rejected(self) -> bool:
+        """Whether it was measured and cannot be believed; the remarks say why."""
+        return self.value is None and self.verdict is not None
+
+    @property
+    def ruling(self) -> str:
+        """The verdict in words, "" without one: a failure of the sign is said to be one."""
+        turned = any(remark.startswith(SIGN_REVERSED) for remark in self.remarks)
+        return f"{self.verdict}: {SIGN_REVERSED}" if self.verdict == "fail" and turned else self.verdict or ""
+
+    @property
     def contributions(self) -> tuple[Contribution, ...]:
         """Lines of the budget; none for what was not determined."""
         return () if self.budget is None else self.budget.contributions
@@ -129,6 +141,11 @@ def _named(calibration: Calibration) -> Sensor:
 def not_determined(channel: str, measurand: str, title: str, unit: str, why: str) -> Result:
     """A result that says why there is none."""
     return Result(channel, measurand, title, None, unit, status="not determined", remarks=(why,))
+
+
+def rejected(channel: str, measurand: str, title: str, unit: str, why: str) -> Result:
+    """The same for what was measured and cannot be believed: nobody can tell whether limits are kept."""
+    return replace(not_determined(channel, measurand, title, unit, why), verdict="inconclusive")
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,12 @@ class Estimate:
         """Standard uncertainty from noise and priors."""
         return math.hypot(self.u_noise, *(one.coefficient * one.u for one in self.pulls))
 
+    @property
+    def turned(self) -> Estimate:
+        """The same with the other sign."""
+        pulls = tuple(replace(one, coefficient=-one.coefficient) for one in self.pulls)
+        return replace(self, value=-self.value, pulls=pulls, influence=-self.influence)
+
 
 @dataclass(frozen=True)
 class Experiment:

@@ -20,8 +20,8 @@ from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, Result, Source, not_determined
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
 from rig.calibrate.joined import NEGLIGIBLE, NOISE, inadequate, of_model, spoilt
+from rig.calibrate.judging import judged
 from rig.calibrate.merging import in_volts, merged
-from rig.calibrate.verdict import verdict
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
 from rig.fit.fit import POLE_TOLERANCE
@@ -197,15 +197,10 @@ def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found
 
 
 def _judged(results: Iterable[Result], tolerances: Mapping[str, float]) -> Iterator[Result]:
-    """Sensitivities against the tolerance that a manifest states, with a guard band of U."""
+    """Sensitivities, ratios to what a manifest states, against the tolerance that it states."""
     for result in results:
         tolerance = tolerances.get(result.channel, UNSTATED)
-        if result.measurand != "sensitivity" or result.value is None or tolerance >= UNSTATED:
-            yield result
-            continue
-        low, high = 1.0 - tolerance, 1.0 + tolerance
-        said = verdict(abs(result.value), result.expanded, low, high)
-        yield replace(result, low=low, high=high, verdict="inconclusive" if result.status == "flagged" else said)
+        yield judged(result, 1.0, tolerance if tolerance < UNSTATED else None)
 
 
 def _tolerances(foreign: Iterable[Foreign]) -> dict[str, float]:

@@ -62,7 +62,8 @@ def _estimate(experiment: Experiment, result: Result) -> Estimate | None:
         case "sensitivity" | "sensitivity_centripetal":
             return experiment.sensitivity(result.channel)
         case "sensitivity_gravity":
-            return experiment.own_axis(result.channel)
+            found = experiment.own_axis(result.channel)  # of the magnitude of gravity, which has no sign
+            return found.turned if found is not None and (result.value or 0.0) < 0.0 else found
         case "bandwidth":
             return experiment.bandwidth(result.channel)
         case "offset":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,7 +16,7 @@ from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.agreement import DirectEstimate
 from rig.calibrate.basis import Basis
 from rig.calibrate.budget import Budget, Contribution
-from rig.calibrate.calibration import ResponsePoint, Result, not_determined
+from rig.calibrate.calibration import ResponsePoint, Result, not_determined, rejected
 from rig.calibrate.cube_route import Recorder, at_rest
 from rig.calibrate.input_noise import Scale
 from rig.errors import BadInput
@@ -24,6 +24,7 @@ from rig.parts.reading.cube_frames import points_by_cube
 from rig.parts.reading.vibration import Chain, SinePoint, chain_of, sine_points, wrong_axis
 from rig.sensor import SensorChannel
 
+Unusable = Callable[[str, str, str, str], Result]  # the row, why included, for channel, measurand, title and unit
 UP = {"x": 1, "y": 2, "z": 0}  # cube axis that is up while this one is driven
 
 
@@ -35,7 +36,7 @@ class ShakerRuns:
         self.points: list[list[SinePoint]] = []  # of every sweep, each a mounting
         self._fits: dict[str, list[ChannelFit]] = {}
         self._whole: dict[str, ChannelFit] = {}
-        self._unusable: dict[str, str] = {}
+        self._unusable: dict[str, Unusable] = {}
         self._chain: Chain | None = None
         for records in basis.runs:
             if any("frequency" in body for body in records.points.values()):
@@ -68,19 +69,31 @@ class ShakerRuns:
             sensor = self._basis.sensor.channel(name)
             merged = several[0]
             if len(several) > 1:
-                whole = accelerometers.observed(self._points_of(sensor.axis), name)
-                merged = accelerometers.fit_channel(whole, name, chain, sensor.bandwidth)
+                whole = self._fitted(self._points_of(sensor.axis), sensor, chain)
+                if not isinstance(whole, ChannelFit):
+                    self._unusable[name] = whole
+                    continue
+                merged = whole
             self._whole[name] = merged
 
     def _fit_mounting(self, group: Sequence[SinePoint], sensor: SensorChannel, chain: Chain) -> None:
-        """One channel in one mounting; a channel without usable points does not take the others with it."""
+        """One channel in one mounting."""
+        found = self._fitted(group, sensor, chain)
+        if not isinstance(found, ChannelFit):
+            self._unusable[sensor.name] = found
+        else:
+            self._fits.setdefault(sensor.name, []).append(found)
+
+    def _fitted(self, points: Sequence[SinePoint], sensor: SensorChannel, chain: Chain) -> ChannelFit | Unusable:
+        """A channel's fit, or why there is none: one without does not take the others with it."""
         try:
-            seen = accelerometers.observed(group, sensor.name)
+            seen = accelerometers.observed(points, sensor.name)
         except BadInput as error:
-            self._unusable[sensor.name] = f"{group[0].run}: {error}"
-            return
-        fit = accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
-        self._fits.setdefault(sensor.name, []).append(fit)
+            return partial(not_determined, why=f"{points[0].run}: {error}")
+        try:
+            return accelerometers.fit_channel(seen, sensor.name, chain, sensor.bandwidth)
+        except BadInput as error:
+            return partial(rejected, why=f"{points[0].run}: {error}")
 
     def _points_of(self, axis: str) -> list[SinePoint]:
         return [point for point in self.everything() if point.axis == axis]
@@ -102,7 +115,7 @@ class ShakerRuns:
             return
         remount = accelerometers.remount_of(self._fits)
         for name in [one for one in self._unusable if one not in self._whole]:
-            yield not_determined(name, "sensitivity", "sensitivity at low frequency", SENSITIVITY, self._unusable[name])
+            yield self._unusable[name](name, "sensitivity", "sensitivity at low frequency", SENSITIVITY)
         for name, fit in self._whole.items():
             sensor = basis.sensor.channel(name)
             yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
@@ -180,7 +193,8 @@ class ShakerRuns:
     def flags(self) -> Iterator[str]:
         for group in self.points:
             for point in group:
-                for flag in (*point.flags, *(f"{n} {f}" for n, one in point.lines.items() for f in one.flags)):
+                mine = ((n, one) for n, one in point.lines.items() if n in self._basis.sensor)
+                for flag in (*point.flags, *(f"{n} {f}" for n, one in mine for f in one.flags)):
                     yield f"{point.run}, {point.frequency:.4g} Hz {point.level}: {flag}; the point was left out"
 
 

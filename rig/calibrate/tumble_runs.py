@@ -47,8 +47,13 @@ def results(basis: Basis, assumed: Assumed | None) -> Iterator[Result]:
         poses = tumbling.poses_in(records, basis.noise, basis.alignment.mount, read)
         if poses is not None:
             model = None if assumed is None else _model(poses, assumed, read)
-            for unit in filter(poses.has, basis.sensor.of_quantity("acceleration")):
-                yield from _of_unit(poses, unit, model)
+            recorded = map(poses.recorded, basis.sensor.of_quantity("acceleration"))
+            units = [unit for unit in recorded if unit.channels]
+            wrong = tumbling.misplaced(poses, units)
+            yield from tumbling.refused(wrong)
+            for unit in units:
+                kept = replace(unit, channels=tuple(c for c in unit.channels if c.name not in wrong))
+                yield from _of_unit(poses, kept, model) if kept.channels else ()
 
 
 def _model(poses: Poses, assumed: Assumed, read: Read) -> _Model:
@@ -93,11 +98,12 @@ def _direct(found: UnitFit) -> Iterator[DirectEstimate]:
     """What the direct estimator says, to be held against the fit."""
     poses, directions = found.poses, found.directions
     share = poses.gravity.u / poses.gravity.value
+    sizes, own_axes = found.signed
     for place, name in enumerate(found.unit.names):
-        size, u = (float(one[place]) for one in directions.sizes)
+        size, u = float(sizes[place]), float(directions.sizes[1][place])
         zero, u_zero = float(directions.offsets[place]), float(directions.u_offsets[place])
         for measurand, value, u_value, weights in (
-            (GRAVITY, size, math.sqrt(max(u**2 - (size * share) ** 2, 0.0)), directions.own_axes[place]),
+            (GRAVITY, size, math.sqrt(max(u**2 - (size * share) ** 2, 0.0)), own_axes[place]),
             ("offset", zero, u_zero, directions.by_readings[place, 3]),
         ):
             change = agreement.of_poses(poses.begin, poses.end, weights)

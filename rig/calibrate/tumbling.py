@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 from rig.archive.records import Recorded, Reference, Signals, poses_of, reference
 from rig.calibrate import triad
 from rig.calibrate.budget import Budget, Contribution
-from rig.calibrate.calibration import Result, not_determined
+from rig.calibrate.calibration import Result, Status, not_determined, rejected
 from rig.calibrate.resting import Resting
 from rig.errors import BadInput
-from rig.sensor import Triad
+from rig.sensor import AXES, Triad
+from rig.signals import gravity_poses
 
 Array = NDArray[np.float64]
 Read = Callable[[Recorded, Mapping[str, Any]], Signals | None]
 ANGLES = ("xy", "xz", "yz")
 SENSITIVITY = "V/(m/s²)"
+ASKEW = 5.0  # times: never by chance with the two degrees of freedom of six poses (exp −25)
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,10 @@ class Poses:
         """Bench clock, s, (n,)."""
         return np.asarray(self.begin + np.array([float(body["seconds"]) for body in self.bodies]))
 
-    def has(self, unit: Triad) -> bool:
-        """Whether all of a unit was recorded, and its noise is known."""
-        return all(name in self.noise and all(name in one.names for one in self.signals) for name in unit.names)
+    def recorded(self, unit: Triad) -> Triad:
+        """As much of a unit as was recorded, and whose noise is known."""
+        there = (c for c in unit.channels if c.name in self.noise and all(c.name in one.names for one in self.signals))
+        return replace(unit, channels=tuple(there))
 
 
 def poses_in(records: Recorded, noise: Mapping[str, Resting], tilt: float, read: Read) -> Poses | None:
@@ -77,13 +80,26 @@ def _timed(body: Mapping[str, Any], found: Signals) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class UnitFit:
-    """One unit in all poses: means (n, c) V with their uncertainty (c,), and its channels fitted to what was up."""
+    """One unit in all poses: means (n, c) V with their uncertainty (c,), and its channels fitted to what was up.
+
+    `scatter` (c,) is what the means leave over, in what noise and the declared tilt of the poses explain.
+    """
 
     poses: Poses
     unit: Triad
     volts: Array
     u: Array
     directions: triad.Directions
+    scatter: Array
+
+    @property
+    def signed(self) -> tuple[Array, Array]:
+        """Sensitivity of every channel along its own axis, V/(m/s²), with the sign that it has along the declared one,
+        and its derivatives by the readings; (c,) and (c, n, c).
+        """
+        found, own = self.directions, [channel.place for channel in self.unit.channels]
+        signs = np.where(found.matrix[np.arange(len(own)), own] < 0.0, -1.0, 1.0)
+        return np.asarray(signs * found.sizes[0]), np.asarray(signs[:, None, None] * found.own_axes)
 
     def u_of_tilt(self, weights: Array) -> float:
         """What poses that stood askew do to an estimate with these derivatives by the means, (n, c).
@@ -96,7 +112,7 @@ class UnitFit:
     def results(self) -> Iterator[Result]:
         """Of every channel; the angles between axes need a whole triad."""
         for place, name in enumerate(self.unit.names):
-            yield from _of_axis(self.poses, name, self.directions, place)
+            yield from _of_axis(self.poses, name, self, place)
         if self.unit.is_whole:
             yield from _angles(self.unit, self.volts, self.u, self.poses.gravity)
 
@@ -107,13 +123,63 @@ def fit_unit(poses: Poses, unit: Triad) -> UnitFit:
     if clipped:
         raise BadInput(f"{poses.records.name}: {', '.join(clipped)} clipped in a pose")
     volts = np.array([[float(one.of(name).mean()) for name in unit.names] for one in poses.signals])
-    u = np.array([
-        max(_u_mean(poses.noise[name], poses), _scatter(column, poses.up))
-        for name, column in zip(unit.names, volts.T, strict=True)
-    ])  # fmt: skip
-    gravity = poses.gravity
+    noise = np.array([_u_mean(poses.noise[name], poses) for name in unit.names])
+    left = np.array([_scatter(column, poses.up) for column in volts.T])
+    u, gravity = np.maximum(noise, left), poses.gravity
     found = triad.fit_directions(volts, poses.up, gravity.value, gravity.u, u, poses.u_up)
-    return UnitFit(poses, unit, volts, u, found)
+    return UnitFit(poses, unit, volts, u, found, left / np.hypot(noise, found.sizes[0] * gravity.value * poses.u_up))
+
+
+def misplaced(poses: Poses, units: Sequence[Triad]) -> dict[str, str]:
+    """Channels that do not show gravity where the procedure says that it was, and why that cannot be believed.
+
+    Where all units say the same of a pose, the pose is at fault, else the channels of those that do.
+    """
+    if len(poses.bodies) < gravity_poses.FEWEST or not units:
+        return {}
+    followed = {unit.name: gravity_poses.following(*_felt(poses, unit)) for unit in units}
+    rows = [tuple(np.flatnonzero(off.any(axis=1)).tolist()) for _, off in followed.values()]
+    if rows[0] and all(one == rows[0] for one in rows):
+        guess = "the cube lay another way" + (", or channels are swapped" if len(units) == 1 else "")
+        why = _of_pose(poses, units[0], rows[0], guess)
+        return {name: why for unit in units for name in unit.names}
+    found = {
+        name: f"shows no gravity along {axis} as the poses have it, other units do: channels swapped or not connected"
+        for unit in units for name, axis, off in zip(unit.names, unit.axes, followed[unit.name][1].T, strict=True)
+        if off.any()
+    }  # fmt: skip
+    return found | _all_reversed(units, {name: gains for name, (gains, _) in followed.items()})
+
+
+def _felt(poses: Poses, unit: Triad) -> tuple[Array, Array]:
+    """What a unit felt by its data sheet, from an unknown zero on, and what it should have, of gravity, (n, c) each."""
+    volts = np.array([[float(one.of(name).mean()) for name in unit.names] for one in poses.signals])
+    nominal = np.array([channel.nominal for channel in unit.channels])
+    return volts / nominal / poses.gravity.value, poses.up[:, [channel.place for channel in unit.channels]]
+
+
+def _of_pose(poses: Poses, unit: Triad, rows: Sequence[int], why: str) -> str:
+    felt, expected = _felt(poses, unit)
+    k = rows[0]
+    shown = felt[k] - np.median(felt - expected, axis=0)
+    found, wanted = (
+        " ".join(f"{share:+.2f}{axis}" for axis, share in zip(unit.axes, one, strict=True))
+        for one in (shown, expected[k])
+    )
+    more = f" (and {len(rows) - 1} poses more)" if len(rows) > 1 else ""
+    return f"{poses.bodies[k]['label']}{more}: found gravity along {found}, wanted {wanted}: {why}"
+
+
+def _all_reversed(units: Sequence[Triad], gains: Mapping[str, Array]) -> dict[str, str]:
+    """Axes along which several units have the other sign together: nobody turned all of them over."""
+    found: dict[str, str] = {}
+    every = [(c, gain) for unit in units for c, gain in zip(unit.channels, gains[unit.name].tolist(), strict=True)]
+    for axis in AXES:
+        along = [(c, gain) for c, gain in every if c.axis == axis]
+        if len(along) > 1 and all(gain < 0.0 for _, gain in along):
+            why = f"all {len(along)} units have the other sign along {axis}: its poses were exchanged"
+            found |= {c.name: why for c, _ in along}
+    return found
 
 
 def without(unit: Triad, why: str) -> Iterator[Result]:
@@ -122,24 +188,50 @@ def without(unit: Triad, why: str) -> Iterator[Result]:
         yield not_determined(name, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
 
 
-def _of_axis(poses: Poses, channel: str, fit: triad.Directions, place: int) -> Iterator[Result]:
-    gravity, dof = poses.gravity, float(max(fit.dof, 1))
+def refused(channels: Mapping[str, str]) -> Iterator[Result]:
+    """Rows of channels that cannot be believed, by why."""
+    for name, why in channels.items():
+        yield rejected(name, "sensitivity_gravity", "sensitivity from gravity", SENSITIVITY, why)
+
+
+def _of_axis(poses: Poses, channel: str, of: UnitFit, place: int) -> Iterator[Result]:
+    fit, gravity = of.directions, poses.gravity
+    dof = float(max(fit.dof, 1))
     common = (f"{len(poses.bodies)} poses, twelve parameters", f"local gravity, {gravity.source}")
     share = gravity.u / gravity.value
-    sizes, u_sizes = fit.sizes
-    s, u_s = float(sizes[place]), float(u_sizes[place])
+    s, u_s = float(of.signed[0][place]), float(fit.sizes[1][place])
     lines = (
         Contribution("noise, wandering and poses", "A", "normal",
                      math.sqrt(max(u_s**2 - (s * share) ** 2, 0.0)), SENSITIVITY, 1.0, dof),
         Contribution("local gravity", "B", "normal", share, "1", s, source=gravity.source),
     )  # fmt: skip
-    yield Result(channel, "sensitivity_gravity", "sensitivity from gravity", s, SENSITIVITY, Budget(lines), *common)
+    doubt, status = _askew(of.scatter[place])
+    yield Result(
+        channel,
+        "sensitivity_gravity",
+        "sensitivity from gravity",
+        s,
+        SENSITIVITY,
+        Budget(lines),
+        *common,
+        status,
+        doubt,
+    )
     wandering = _u_common(poses.noise[channel], poses)
     offset = (
         Contribution("noise, wandering and poses", "A", "normal", float(fit.u_offsets[place]), "V", 1.0, dof),
         Contribution("wandering common to all poses", "A", "normal", wandering, "V", 1.0),
     )
-    yield Result(channel, "offset", "zero output", float(fit.offsets[place]), "V", Budget(offset), *common)
+    value = float(fit.offsets[place])
+    yield Result(channel, "offset", "zero output", value, "V", Budget(offset), *common, status, doubt)
+
+
+def _askew(scatter: float) -> tuple[tuple[str, ...], Status]:
+    """What is to be said of poses that scatter more than noise and their declared tilt explain."""
+    if scatter <= ASKEW:
+        return (), "determined"
+    said = f"the poses scatter {scatter:.3g} times as much as noise and their declared tilt explain: one stood askew?"
+    return (said,), "flagged"
 
 
 def _angles(unit: Triad, volts: Array, u: Array, gravity: Reference) -> Iterator[Result]:

@@ -219,7 +219,7 @@ def _quantity(data: ET.Element, result: Result) -> None:
         _si(expanded, "distribution", "normal" if math.isinf(result.dof) else "t")
     if result.verdict is not None:
         meta = _add(_add(quantity, "measurementMetaData"), "metaData", refType="basic_conformity")
-        _text(meta, "declaration", f"{result.verdict}, guard band w = U")
+        _text(meta, "declaration", f"{result.ruling}, guard band w = U")
         _add(meta, "conformity", _conformity(result))
 
 

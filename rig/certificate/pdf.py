@@ -241,7 +241,7 @@ def _conformity(result: Result) -> dict[str, str]:
         "title": flat(result.title),
         "stated": stated,
         "limits": _minus(limits(result)),
-        "verdict": str(result.verdict),
+        "verdict": result.ruling,
     }
 
 

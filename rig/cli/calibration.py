@@ -6,13 +6,15 @@ then the ratio to what the manifest states (unit `1`), an offset is in SI above 
 traceable" unless the manifest names a `standard`. They are merged with runs of a bench of the same serial number where
 their numbers are volts; values are then in V per SI unit. How measurands are called: [measurands](measurands.md).
 
-`calibrate` and `certify` end with exit code 3 if a value lies outside its limits by more than its expanded uncertainty;
-what was made is written all the same. An inconclusive verdict is not a failure.
+`calibrate` and `certify` end with exit code 3 if a value lies outside its limits by more than its expanded uncertainty,
+has another sign than declared (`sign reversed`), or was measured and cannot be believed: a channel that is stuck, poses
+that were others than asked for. Such a row has no value, says why in `remarks`, and its verdict is `inconclusive`. What
+was made is written all the same. An inconclusive verdict on a value is not a failure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -462,6 +464,7 @@ def text_of(made: Calibration) -> list[str]:
         shown = known  # of noise alone
     width = max((len(r.key) for r in shown), default=0)
     lines += [f"  {r.key:<{width}}  {text(r):<26} {_beside(r)}".rstrip() for r in shown]
+    lines += [f"  {r.key:<{width}}  {text(r)}" for r in made.results if r.rejected]
     others = sum(r.determined for r in made.results) - len(shown)
     missing = [r for r in made.results if not r.determined]
     lines += ["", f"  U with k for 95 %; {others} more values and {len(missing)} not determined are in the file"]
@@ -472,7 +475,8 @@ def text_of(made: Calibration) -> list[str]:
 
 
 def _beside(result: Result) -> str:
-    verdict = "" if result.verdict is None else f"{result.verdict} against the data sheet's tolerance"
+    said = result.ruling
+    verdict = f"{said} against the data sheet's tolerance" if said and said == result.verdict else said
     check = (
         "" if result.check is None else f"{'agrees' if result.check.agrees else 'does not agree'} with the other route"
     )
@@ -512,10 +516,20 @@ def row_of(result: Result) -> dict[str, Any]:
 
 
 def _refuse_failed(made: Calibration) -> None:
-    """Exit code 3 if a value is outside its limits by more than its uncertainty."""
-    from rig.calibrate.calibration import text
+    """Exit code 3 if a value is outside its limits by more than its uncertainty, or cannot be believed."""
     from rig.errors import VerdictNotMet
 
-    failed = [f"{r.key}: found {text(r)}, outside its limits" for r in made.results if r.verdict == "fail"]
-    if failed:
+    if failed := list(failures(made)):
         raise VerdictNotMet("; ".join(failed))
+
+
+def failures(made: Calibration) -> Iterator[str]:
+    """Every value outside its limits or with another sign than declared, and everything that was measured in vain."""
+    from rig.calibrate.calibration import text
+
+    for result in made.results:
+        if result.verdict == "fail":
+            wanted = "outside its limits" if result.ruling == result.verdict else "wanted the declared sign"
+            yield f"{result.key}: found {text(result)}, {wanted}"
+        elif result.rejected:
+            yield f"{result.key}: {text(result)}"

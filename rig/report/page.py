@@ -175,7 +175,7 @@ def _estimate(row: PaperRow, factor: float, ours: Result | None) -> Estimate:
 
 def verdict_text(result: Result) -> str:
     """The verdict and the status, as far as there is something to say."""
-    said = [result.verdict or "", "" if result.status == "determined" else result.status]
+    said = [result.ruling, "" if result.status == "determined" else result.status]
     return ", ".join(filter(None, said)) or "–"
 
 

@@ -1,0 +1,210 @@
+"""What is looked at before anything is concluded: whether every channel's samples are a measurement at all.
+
+A channel that shows nothing in a run is left out of it, and is among the results all the same: not determined, and why.
+Nobody else sees it there: its wire has another name, which no sensor file knows. What is wrong with fewer samples stays
+in, and flags what stands on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.archive.journal import Entry
+from rig.archive.records import Recorded, Signals
+from rig.archive.reduced import reduced
+from rig.calibrate.calibration import Result, rejected
+from rig.record import CubeSamples, Response, Samples
+from rig.sensor import Sensor, SensorChannel
+from rig.signals.sample_faults import Faults, faults, together
+
+LOST = 0.1  # share of a record without which a channel shows nothing there
+HIDDEN = "{} (left out)"
+NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")
+ASKED = ("sensitivity", "sensitivity_gravity", "deviation")
+FEW = 3  # records that a remark names
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is wrong with a channel in one record of a run: `label` of the record, `at_rest` if nothing moved."""
+
+    run: str
+    label: str
+    channel: str
+    faults: Faults
+    at_rest: bool
+
+    @property
+    def lost(self) -> bool:
+        return self.faults.lost >= LOST
+
+    @property
+    def words(self) -> str:
+        return ", ".join(self.faults)
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A channel that is left out of a run, why, and where: `measurand` says what of it was to be determined there."""
+
+    run: str
+    channel: str
+    why: str
+    measurands: tuple[str, ...]
+
+    def result(self, measurand: str, sensor: SensorChannel) -> Result:
+        """Its row among the results."""
+        unit = sensor.unit if measurand == "deviation" else f"V/({sensor.unit})"
+        title = {"deviation": "deviation at rest", "sensitivity_gravity": "sensitivity from gravity"}
+        return rejected(self.channel, measurand, title.get(measurand, "sensitivity"), unit, self.why)
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Runs with what cannot be used hidden, and what was found."""
+
+    runs: tuple[Recorded, ...]
+    rejected: tuple[Rejected, ...] = ()
+    doubted: tuple[Found, ...] = ()
+
+    def rows(self, sensor: Sensor) -> Iterator[Result]:
+        """Rows of what was left out."""
+        for one in self.rejected:
+            for measurand in one.measurands:
+                yield one.result(measurand, sensor.channel(one.channel))
+
+    def flags(self) -> Iterator[str]:
+        """What is to be said of the calibration as a whole."""
+        for one in self.rejected:
+            yield f"{one.run}: {one.channel} left out: {one.why}"
+
+    def flagged(self, results: Iterable[Result]) -> Iterator[Result]:
+        """The results, those that stand on doubtful samples flagged."""
+        for result in results:
+            here = [one for one in self.doubted if one.channel == result.channel and _concerns(one, result)]
+            if not here:
+                yield result
+                continue
+            if not result.determined:  # nobody asks for what no record could tell anyway
+                yield replace(result, verdict="inconclusive") if result.measurand in ASKED else result
+                continue
+            said = [f"{one.run}, {one.label}: {one.words}" for one in here]
+            more = f" and {len(said) - FEW} more" if len(said) > FEW else ""
+            remark = f"samples that are no measurement: {'; '.join(said[:FEW])}{more}"
+            yield replace(result, status="flagged", remarks=(*result.remarks, remark))
+
+
+def _concerns(found: Found, result: Result) -> bool:
+    """Whether a result stands on a record: noise on records at rest, everything else on all of them."""
+    return found.at_rest or result.measurand not in NOISE
+
+
+def screened(runs: Sequence[Recorded], sensor: Sensor) -> Screened:
+    """Look at all records of the converter."""
+    views: list[Recorded] = []
+    left_out: list[Rejected] = []
+    doubted: list[Found] = []
+    for run in runs:
+        found = _looked_at(run, sensor)
+        lost = {one.channel: one for one in reversed(found) if one.lost}
+        left_out += [Rejected(run.name, name, one.words, _meant(run, sensor, name)) for name, one in lost.items()]
+        doubted += [one for one in found if one.channel not in lost]
+        views.append(Without(run, frozenset(lost)) if lost else run)
+    return Screened(tuple(views), tuple(left_out), tuple(doubted))
+
+
+def _looked_at(run: Recorded, sensor: Sensor) -> list[Found]:
+    """Everything that is wrong with samples of sensors in a run."""
+    return reduced(run, "faults", (Found, Faults), lambda: list(_faults_of(run, sensor)), sensor)
+
+
+def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
+    for entry in run.lines:
+        body = entry.body
+        if entry.kind not in ("point", "step") or "samples" not in body:
+            continue
+        pieces: dict[str, list[Faults]] = {}
+        for piece in run.pieces(str(body["samples"])):
+            for column, channel in enumerate(piece.channels):
+                if channel.name in sensor:
+                    pieces.setdefault(channel.name, []).append(faults(piece.counts[:, column]))
+        label = str(body.get("label", body["samples"]))
+        at_rest = "frequency" not in body and "phase" not in body
+        for name, several in pieces.items():
+            if list(whole := together(several)):
+                yield Found(run.name, label, name, whole, at_rest)
+
+
+def _meant(run: Recorded, sensor: Sensor, name: str) -> tuple[str, ...]:
+    """What a run was to tell of a channel."""
+    channel, found = sensor.channel(name), []
+    for body in run.points.values():
+        along = "frequency" in body and not channel.is_rate and body["axis"] == channel.axis
+        about = "phase" in body and channel in sensor.about(str(body["gyro_axis"]))
+        if along or about:
+            found.append("sensitivity")
+        elif body.get("purpose") == "pose" and not channel.is_rate:
+            found.append("sensitivity_gravity")
+    return (*dict.fromkeys(found), "deviation")
+
+
+@dataclass(frozen=True)
+class Without:
+    """A run as if some of its wires led to nothing that anybody knows."""
+
+    whole: Recorded
+    hidden: frozenset[str]
+
+    @property
+    def name(self) -> str:
+        return self.whole.name
+
+    @property
+    def status(self) -> str:
+        return self.whole.status
+
+    @property
+    def header(self) -> Mapping[str, Any]:
+        bench: Mapping[str, Any] = self.whole.header["bench_file"]
+        cables = {key: [self._called(name) for name in wires] for key, wires in bench["cables"].items()}
+        return {**self.whole.header, "bench_file": {**bench, "cables": cables}}
+
+    @property
+    def lines(self) -> Sequence[Entry]:
+        return self.whole.lines
+
+    @property
+    def points(self) -> Mapping[int, Mapping[str, Any]]:
+        return self.whole.points
+
+    def samples(self, name: str) -> Samples:
+        return self._renamed(self.whole.samples(name))
+
+    def pieces(self, name: str) -> Iterator[Samples]:
+        return map(self._renamed, self.whole.pieces(name))
+
+    def traces(self, name: str) -> Signals:
+        return self.whole.traces(name)
+
+    def response(self, name: str) -> Response:
+        return self.whole.response(name)
+
+    def cube(self, name: str) -> CubeSamples:
+        return self.whole.cube(name)
+
+    def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        return self.whole.table(name)
+
+    def earlier(self) -> Iterator[Recorded]:
+        return self.whole.earlier()
+
+    def _called(self, name: str) -> str:
+        return HIDDEN.format(name) if name in self.hidden else name
+
+    def _renamed(self, samples: Samples) -> Samples:
+        return replace(samples, channels=tuple(replace(c, name=self._called(c.name)) for c in samples.channels))

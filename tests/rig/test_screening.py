@@ -1,0 +1,105 @@
+"""A channel that shows nothing costs that channel: it is among the results, and why, and all others are as ever."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import fast_bench
+import numpy as np
+import pytest
+from miswired import Wrong, WrongWorld
+
+from rig.calibrate.calibrate import calibrate
+from rig.calibrate.calibration import Calibration, text
+from rig.calibrate.screening import screened
+from rig.cli.calibration import failures, text_of
+from rig.sensor import Sensor
+from rig.signals.sample_faults import faults
+
+SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 2, "static": "3 s", "static_after": "0 s"}
+TURNS = {"procedure": "turntable", "revolutions": 2, "rest": "3 s"}
+TUMBLE = {"procedure": "tumble", "record": "1 s"}
+NOISE = {"procedure": "noise", "length": "5 s"}
+RESONANCE = {"name": "resonance", "parameters": {"frequency": 1040.0, "damping": 0.01}}
+
+
+def noisy(count: int = 4000, seed: int = 1, codes: float = 3.0) -> np.ndarray:
+    return np.rint(38000 + codes * np.random.default_rng(seed).standard_normal(count)).astype(np.uint16)
+
+
+def concluded(procedure: Mapping[str, Any], wrong: Wrong, seed: int = 5) -> Calibration:
+    return calibrate([fast_bench.measure(procedure, WrongWorld(seed, wrong))], "screened")
+
+
+def test_codes_say_what_is_wrong_with_them() -> None:
+    good = noisy()
+    stuck, held, railed, spike, step, hangs = (good.copy() for _ in range(6))
+    stuck[:] = 0x8A3D
+    held[500:900] = held[500]
+    railed[700:1100] = 0xFFFF
+    spike[1234] += 2000
+    step[2000:] += 2000
+    hangs = noisy(codes=300.0) & ~np.uint16(16)
+    assert list(faults(stuck)) == ["stuck at 0x8A3D, 100 % of samples"]
+    assert list(faults(held)) == [f"stuck at 0x{held[500]:04X}, 10 % of samples"]
+    assert list(faults(railed)) == ["stuck at 0xFFFF, 10 % of samples"]
+    assert list(faults(spike)) == ["1 sample stands alone"]
+    assert list(faults(hangs)) == ["bit 4 never changes"]
+    assert list(faults(np.clip(noisy(codes=60.0), 0, 38030))) == [
+        "cut off inside the range, 31 % of samples at an extreme"
+    ]
+    assert not list(faults(step))
+    time = np.arange(3125) / 3125.0
+    for seed, codes in enumerate((0.3, 1.0, 3.0, 18.0)):
+        for sine in (0.0, 20.0, 498.0):
+            moved = noisy(3125, seed, codes) + np.rint(1000.0 * np.sin(2.0 * np.pi * sine * time)).astype(int)
+            assert not list(faults(moved.astype(np.uint16)))
+
+
+@pytest.mark.parametrize(
+    ("procedure", "channel", "measurand"),
+    [
+        (SWEEP, "unit_a_x", "sensitivity"), (TURNS, "gyro_yaw", "sensitivity"), (NOISE, "unit_c_y", "deviation"),
+        (TUMBLE, "unit_b_z", "sensitivity_gravity"),
+    ],
+)  # fmt: skip
+def test_a_stuck_channel_has_its_row_and_its_exit_code_and_takes_no_other_with_it(
+    procedure: Mapping[str, Any], channel: str, measurand: str
+) -> None:
+    clean, made = concluded(procedure, Wrong()), concluded(procedure, Wrong(stuck={channel: 1.65}))
+    row = made.result(f"{channel}.{measurand}")
+    assert text(row) == "not determined: stuck at 0x951E, 100 % of samples"
+    assert row.rejected
+    assert any(row.key in line and text(row) in line for line in text_of(made))
+    assert any(row.key in failure for failure in failures(made))
+    assert not list(failures(clean))
+    kept = {r.key: r for r in made.results if r.channel != channel and r.determined}
+    for before in (r for r in clean.results if r.determined and r.channel != channel):
+        if before.measurand in ("sensitivity", "sensitivity_gravity", "offset", "deviation"):
+            assert kept[before.key].value == pytest.approx(before.value, abs=before.expanded)
+            assert kept[before.key].status == before.status
+
+
+def test_what_a_spike_spoils_is_flagged_and_nothing_else() -> None:
+    made = concluded(NOISE, Wrong(spikes={"unit_a_x": (1, 5.0)}))
+    flagged = {r.channel for r in made.results if r.status == "flagged"}
+    assert flagged == {"unit_a_x"}
+    assert "1 sample stands alone" in made.result("unit_a_x.deviation").remarks[-1]
+
+
+def test_a_response_that_no_fit_follows_costs_no_tumble() -> None:
+    world = WrongWorld(3, Wrong(), [RESONANCE])
+    runs = [fast_bench.measure(one, world) for one in ({**SWEEP, "points": 4}, TUMBLE)]
+    made = calibrate(runs, "both")
+    lost = [r for r in made.results if r.rejected]
+    assert lost
+    assert all("found no solution" in text(r) for r in lost)
+    assert len(list(made.of("sensitivity_gravity"))) == 9
+
+
+def test_clean_records_have_nothing_wrong() -> None:
+    for seed, procedure in enumerate((SWEEP, TURNS, NOISE)):
+        run = fast_bench.measure(procedure, WrongWorld(100 + seed, Wrong()))
+        looked = screened([run], Sensor.of(run.header))
+        assert (looked.rejected, looked.doubted, looked.runs) == ((), (), (run,))

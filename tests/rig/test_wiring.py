@@ -1,0 +1,67 @@
+"""Cables, mounts and poses are checked by measurement: what is not as it was said to be gives no number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import fast_bench
+import numpy as np
+import pytest
+from miswired import Poses, Wrong, WrongWorld, turned
+
+from rig.calibrate.calibrate import calibrate
+from rig.calibrate.calibration import Calibration, text
+from rig.signals.gravity_poses import following
+
+TUMBLE = {"procedure": "tumble", "record": "1 s"}
+Told = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
+POSES: Mapping[str, tuple[Told, str]] = {
+    "skipped": (lambda n, up, last: last if n == 2 else up, "pose 2 (-1.00x): found gravity along +0.99x"),
+    "negated": (lambda n, up, last: -up if n == 3 else up, "pose 3 (+1.00y): found gravity along -0.00x -0.98y"),
+    "tilted": (lambda n, up, last: turned(up, 20.0) if n == 5 else turned(up, 20.0) if n == 1 else up, "pose 1"),
+    "rotated": (lambda n, up, last: turned(up, 90.0), "pose 1 (+1.00x) (and 3 poses more)"),
+    "exchanged": (lambda n, up, last: -up if n < 3 else up, "all 3 units have the other sign along x"),
+}
+
+
+def concluded(procedure: Mapping[str, Any], wrong: Wrong, seed: int = 3) -> Calibration:
+    return calibrate([fast_bench.measure(procedure, WrongWorld(seed, wrong))], "wired")
+
+
+@pytest.mark.parametrize("case", POSES)
+def test_a_pose_that_was_another_gives_no_sensitivity_and_says_which_it_was(case: str) -> None:
+    told, why = POSES[case]
+    made = concluded(TUMBLE, Wrong(told=Poses(told)))
+    along = "x" if case == "exchanged" else "xyz"
+    for name in (f"unit_{unit}_{axis}" for unit in "abc" for axis in along):
+        row = made.result(f"{name}.sensitivity_gravity")
+        assert row.rejected
+        assert why in text(row)
+    assert len(list(made.of("sensitivity_gravity"))) == 9 - 3 * len(along)
+
+
+def test_channels_that_are_swapped_have_no_sensitivity_and_all_others_have() -> None:
+    made = concluded(TUMBLE, Wrong(swapped=("unit_a_x", "unit_a_y")))
+    lost = {r.channel for r in made.results if r.rejected}
+    assert lost == {"unit_a_x", "unit_a_y"}
+    assert len(list(made.of("sensitivity_gravity"))) == 7
+
+
+def test_a_pose_that_is_askew_by_less_flags_what_stands_on_it() -> None:
+    told = Poses(lambda n, up, last: turned(up, 5.0) if n == 1 else up)
+    made = concluded(TUMBLE, Wrong(told=told))
+    flagged = {r.channel for r in made.of("sensitivity_gravity") if r.status == "flagged"}
+    assert {"unit_a_y", "unit_b_y"} <= flagged
+    clean = concluded(TUMBLE, Wrong())
+    assert {r.status for r in clean.of("sensitivity_gravity")} == {"determined"}
+
+
+def test_any_gain_follows_and_a_wire_without_gravity_does_not() -> None:
+    expected = np.column_stack([[1.0, -1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]])
+    gains, off = following(expected * [0.5, -1.02] + [3.0, -2.0], expected)
+    assert gains == pytest.approx([0.5, -1.02])
+    assert not off.any()
+    _, off = following(np.column_stack([expected[:, 1], np.full(6, 2.0)]), expected)
+    assert off[:, 0].tolist() == [True] * 4 + [False] * 2
+    assert off[:, 1].tolist() == [False, False, True, True, False, False]

@@ -21,7 +21,7 @@ from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
 from rig.calibrate.input_noise import noise_results, scales_of
 from rig.calibrate.joined import joined, of_model
-from rig.calibrate.judging import judged
+from rig.calibrate.judging import believed
 from rig.calibrate.merging import together
 from rig.calibrate.screening import Screened, screened
 from rig.calibrate.shaker_runs import ShakerRuns
@@ -94,7 +94,7 @@ def _of_bench(
         sources=_sources(runs, digests),
         standards=tuple(header["standards"]),
         conditions=resting.conditions_of(runs),
-        results=tuple(_judged(_ordered(results, sensor), sensor)),
+        results=tuple(believed(_ordered(results, sensor), sensor)),
         responses=shaken.responses(),
         analyzer={} if second is None else second.responses(),
         paper=tuple(_paper(shaken, basis)),
@@ -176,7 +176,7 @@ def _of_both(
     theirs = imported.calibration(foreign, name, _sources(foreign, digests), assumed or _DATA_SHEET, volts=True)
     made = together(_of_bench(own, name, digests, assumed, recorder), theirs)
     sensor = made.under_test
-    return replace(made, results=tuple(_judged(_ordered(made.results, sensor), sensor)))
+    return replace(made, results=tuple(believed(_ordered(made.results, sensor), sensor)))
 
 
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:
@@ -210,13 +210,6 @@ def _ordered(results: Iterable[Result], sensor: Sensor) -> list[Result]:
             best[result.key] = result
     places = {name: place for place, name in enumerate(sensor.names)}
     return sorted(best.values(), key=lambda r: places.get(r.channel, len(places)))
-
-
-def _judged(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
-    """Sensitivities against the data sheet's sign and tolerance."""
-    for result in results:
-        channel = sensor.channel(result.channel) if result.channel in sensor else None
-        yield result if channel is None else judged(result, channel.nominal, channel.tolerance)
 
 
 def digest_of(seal: bytes) -> str:

@@ -1,16 +1,25 @@
-"""Sensitivities against what is declared of them: first the sign, then the size within the stated tolerance.
+"""Results against what is declared: first whether they can be what they are called, then sign, then size.
 
-A sign is a declared property: what answers with the other one fails, however well its size fits.
+A sign is a declared property: what answers with the other one fails, however well its size fits. A wire that shows
+nothing of the motion, or of another axis as much as of its own, is no sensor with a small sensitivity or a large
+cross-coupling but another sensor, or the cube stands another way. Where several units fail by one factor it is not
+they that have changed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from rig.calibrate.calibration import SIGN_REVERSED, Result, text
+from rig.calibrate.calibration import SIGN_REVERSED, Result, rejected, text
 from rig.calibrate.verdict import verdict
 from rig.printed import SHOWN
+from rig.sensor import Sensor
 
+COUPLING = ("cross_axis_", "cross_coupling_")
+MOST_COUPLING = 0.5  # of what a channel shows along its own axis; real ones are below a tenth
+FAINT = 0.2  # of the declared sensitivity
+ALIKE = 0.05  # relative: how far factors differ that are one and the same, with units within their own tolerances
 SENSITIVITIES = ("sensitivity", "sensitivity_analyzer", "sensitivity_gravity", "sensitivity_centripetal")
 
 
@@ -39,3 +48,55 @@ def _reversed(result: Result, nominal: float) -> str:
     unit, factor = SHOWN.get(result.unit, (result.unit, 1.0))
     declared = f"{nominal * factor:.4g}" + (f" {unit}" if unit != "1" else "")
     return f"{SIGN_REVERSED}: found {text(result)}, declared is {declared}"
+
+
+def believed(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
+    """The results judged against the sensor file; those that cannot be what they are called without their value."""
+    rows = [_judged_by(result, sensor) for result in results]
+    suspected = {key: why for group in _groups(rows, sensor) for key, why in _common(group, sensor).items()}
+    return (refused(row, suspected[row.key]) if row.key in suspected else row for row in rows)
+
+
+def refused(result: Result, why: str) -> Result:
+    """The row of a result that is not believed."""
+    return rejected(result.channel, result.measurand, result.title, result.unit, why)
+
+
+def _judged_by(result: Result, sensor: Sensor) -> Result:
+    if result.channel not in sensor or result.value is None:
+        return result
+    channel = sensor.channel(result.channel)
+    if result.measurand.startswith(COUPLING) and abs(result.value) > MOST_COUPLING:
+        axis = result.measurand.rpartition("_")[2]
+        why = f"found {result.value:.2f} of its own sensitivity, which is no cross-coupling from {axis}"
+        return refused(result, f"{why}: channels are swapped, or the cube stands on another axis")
+    if result.measurand in SENSITIVITIES and abs(result.value) < FAINT * abs(channel.nominal):
+        why = f"found {result.value / channel.nominal:.2g} times the declared sensitivity"
+        return refused(result, f"{why}: the motion is not on this channel (swapped, or another axis)")
+    found = judged(result, channel.nominal, channel.tolerance)
+    if found.measurand == "sensitivity_centripetal" and found.ruling == "fail":
+        why = f"found ω²r of {result.value / channel.nominal:.3g} times the declared radius by the data sheet"
+        return refused(result, f"{why}: radius or angle on the platter are others")
+    return found
+
+
+def _groups(rows: Iterable[Result], sensor: Sensor) -> Iterator[list[Result]]:
+    """Failures of one measurand along one axis."""
+    found: dict[tuple[str, str, str], list[Result]] = {}
+    for row in rows:
+        if row.verdict == "fail" and row.value is not None and row.channel in sensor:
+            channel = sensor.channel(row.channel)
+            found.setdefault((row.measurand, channel.quantity, channel.axis), []).append(row)
+    yield from found.values()
+
+
+def _common(failed: list[Result], sensor: Sensor) -> dict[str, str]:
+    """Why several units that fail by one factor are not believed, by key; nothing if they do not."""
+    factors = [float(row.value or 0.0) / sensor.channel(row.channel).nominal for row in failed]
+    units = {sensor.channel(row.channel).triad for row in failed}
+    mean = sum(factors) / max(len(factors), 1)
+    if len(units) < 2 or max(factors) - min(factors) > ALIKE * abs(mean):
+        return {}
+    names = ", ".join(row.channel for row in failed)
+    why = f"{names} all answer {mean:.3g} times as declared: the reference or the mounting is suspected, not they"
+    return {row.key: why for row in failed}

@@ -26,6 +26,7 @@ LOST = 0.1  # share of a record without which a channel shows nothing there
 HIDDEN = "{} (left out)"
 NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")
 ASKED = ("sensitivity", "sensitivity_gravity", "deviation")
+LONG = 1 << 17  # scans looked at together: 4 MB of sixteen channels
 FEW = 3  # records that a remark names
 
 
@@ -129,15 +130,29 @@ def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
         if entry.kind not in ("point", "step") or "samples" not in body:
             continue
         pieces: dict[str, list[Faults]] = {}
-        for piece in run.pieces(str(body["samples"])):
-            for column, channel in enumerate(piece.channels):
-                if channel.name in sensor:
-                    pieces.setdefault(channel.name, []).append(faults(piece.counts[:, column]))
+        for names, counts in _stretches(run.pieces(str(body["samples"]))):
+            for column, name in enumerate(names):
+                if name in sensor:
+                    pieces.setdefault(name, []).append(faults(counts[:, column]))
         label = str(body.get("label", body["samples"]))
         at_rest = "frequency" not in body and "phase" not in body
         for name, several in pieces.items():
             if list(whole := together(several)):
                 yield Found(run.name, label, name, whole, at_rest)
+
+
+def _stretches(pieces: Iterable[Samples]) -> Iterator[tuple[list[str], NDArray[np.uint16]]]:
+    """Names and codes, (n, channels), in long stretches, however short the pieces are in which a record was kept."""
+    names: list[str] = []
+    held: list[NDArray[np.uint16]] = []
+    for piece in pieces:
+        names = [channel.name for channel in piece.channels]
+        held.append(piece.counts)
+        if sum(map(len, held)) >= LONG:
+            yield names, np.concatenate(held)
+            held = []
+    if held:
+        yield names, np.concatenate(held)
 
 
 def _meant(run: Recorded, sensor: Sensor, name: str) -> tuple[str, ...]:

@@ -18,8 +18,10 @@ LAST = 65535  # code of a 16-bit converter
 BY_CHANCE = 1e-9  # stretches of one code in a record that chance may make
 HELD = 32  # samples of one code at least: behind a slow filter neighbours are alike for more than chance
 SPAN = 50  # blocks of a piece, of whose shares of equal neighbours the median is taken
-PILE, EMPTY, INWARD = 8, 5.0, 10  # samples at an extreme; times as many as at any of the next codes
-ALONE = 10.0  # robust standard deviations off the middle of both neighbours: never in 10⁹ samples of normal noise
+PILE, EMPTY, INWARD = 16, 5.0, 10  # samples at an extreme; times as many as at any of the next codes
+VISITS = 4  # stretches at an extreme: noise behind a slow filter may linger at its own once
+ALONE = 20.0  # robust standard deviations off the middle of both neighbours: a step between two stretches is no spike
+COARSE = 2.0  # codes: behind a slow filter neighbours differ by a few, and those are not normally distributed
 SINGLE = 1.5  # times what the neighbours are off: exactly two for a single sample, one for a step
 WINDOWS = 4  # side by side, each with both values of a bit
 FEWEST = 16  # samples that say something
@@ -122,8 +124,13 @@ def _cut(codes: Codes) -> int:
     if high - low <= 2 * INWARD:
         return 0
     for extreme, inward in ((low, range(low + 1, low + INWARD + 1)), (high, range(high - INWARD, high))):
-        here = int(np.count_nonzero(codes == extreme))
-        if here >= PILE and here > EMPTY * max(int(np.count_nonzero(codes == one)) for one in inward):
+        at = codes == extreme
+        here, visits = int(np.count_nonzero(at)), int(np.count_nonzero(at[1:] > at[:-1]))
+        if (
+            here >= PILE
+            and visits >= VISITS
+            and here > EMPTY * max(int(np.count_nonzero(codes == one)) for one in inward)
+        ):
             found += here
     return found
 
@@ -132,8 +139,8 @@ def _alone(codes: Codes) -> int:
     """Single samples far off the middle of their neighbours."""
     values = codes.astype(np.float64)
     off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    scale = max(1.4826 * float(np.median(np.abs(off))), 0.5)
     size = np.abs(off)
+    scale = max(1.4826 * float(np.median(size)), float(np.quantile(size, 0.99)) / 2.576, COARSE)
     far = np.flatnonzero(size[1:-1] > ALONE * scale) + 1
     beside = np.maximum(size[far - 1], size[far + 1])
     return int(np.count_nonzero(size[far] > SINGLE * beside))

@@ -7,6 +7,7 @@ in, and flags what stands on it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.journal import Entry
-from rig.archive.records import Recorded, Signals
+from rig.archive.records import Recorded, Signals, wires_of
 from rig.archive.reduced import reduced
 from rig.calibrate.calibration import Result, rejected
 from rig.record import CubeSamples, Response, Samples
@@ -26,6 +27,7 @@ LOST = 0.1  # share of a record without which a channel shows nothing there
 HIDDEN = "{} (left out)"
 NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")
 ASKED = ("sensitivity", "sensitivity_gravity", "deviation")
+PLAUSIBLE = {"supply": (1.0, 30.0, "V"), "temperature": (-40.0, 85.0, "°C")}  # of a bench with parts that work
 LONG = 1 << 17  # scans looked at together: 4 MB of sixteen channels
 FEW = 3  # records that a remark names
 
@@ -72,6 +74,7 @@ class Screened:
     runs: tuple[Recorded, ...]
     rejected: tuple[Rejected, ...] = ()
     doubted: tuple[Found, ...] = ()
+    surroundings: tuple[str, ...] = ()
 
     def rows(self, sensor: Sensor) -> Iterator[Result]:
         """Rows of what was left out."""
@@ -83,6 +86,7 @@ class Screened:
         """What is to be said of the calibration as a whole."""
         for one in self.rejected:
             yield f"{one.run}: {one.channel} left out: {one.why}"
+        yield from self.surroundings
 
     def flagged(self, results: Iterable[Result]) -> Iterator[Result]:
         """The results, those that stand on doubtful samples flagged."""
@@ -110,13 +114,27 @@ def screened(runs: Sequence[Recorded], sensor: Sensor) -> Screened:
     views: list[Recorded] = []
     left_out: list[Rejected] = []
     doubted: list[Found] = []
+    logged: list[str] = []
     for run in runs:
-        found = _looked_at(run, sensor)
+        every = _looked_at(run, sensor)
+        found = [one for one in every if one.channel in sensor]
+        logged += _surroundings(run, [one for one in every if one.channel not in sensor])
         lost = {one.channel: one for one in reversed(found) if one.lost}
         left_out += [Rejected(run.name, name, one.words, _meant(run, sensor, name)) for name, one in lost.items()]
         doubted += [one for one in found if one.channel not in lost]
         views.append(Without(run, frozenset(lost)) if lost else run)
-    return Screened(tuple(views), tuple(left_out), tuple(doubted))
+    return Screened(tuple(views), tuple(left_out), tuple(doubted), tuple(logged))
+
+
+def _surroundings(run: Recorded, found: Sequence[Found]) -> Iterator[str]:
+    """What is wrong with supply and thermometer: each once, and values that no bench has."""
+    for one in {one.channel: one for one in reversed(found)}.values():
+        yield f"{run.name}, {one.label}: {one.channel} {one.words}: what stands on it is not known"
+    for name, (low, high, unit) in PLAUSIBLE.items():
+        said = [float(e.body["conditions"][name]) for e in run.lines if name in e.body.get("conditions", {})]
+        odd = [value for value in said if not (low <= value <= high or math.isnan(value))]
+        if odd:
+            yield f"{run.name}: found a {name} of {odd[0]:.4g} {unit}, wanted {low:g} to {high:g} {unit}: wrong wire?"
 
 
 def _looked_at(run: Recorded, sensor: Sensor) -> list[Found]:
@@ -125,6 +143,8 @@ def _looked_at(run: Recorded, sensor: Sensor) -> list[Found]:
 
 
 def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
+    wires = wires_of(run)
+    watched = {*sensor.names, wires.supply, wires.temperature}
     for entry in run.lines:
         body = entry.body
         if entry.kind not in ("point", "step") or "samples" not in body:
@@ -132,7 +152,7 @@ def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
         pieces: dict[str, list[Faults]] = {}
         for names, counts in _stretches(run.pieces(str(body["samples"]))):
             for column, name in enumerate(names):
-                if name in sensor:
+                if name in watched:
                     pieces.setdefault(name, []).append(faults(counts[:, column]))
         label = str(body.get("label", body["samples"]))
         at_rest = "frequency" not in body and "phase" not in body

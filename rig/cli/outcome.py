@@ -23,9 +23,13 @@ KEY_MEASURANDS = ("sensitivity", "sensitivity_gravity")
 
 
 def present(done: Outcome, order: Order, *, as_json: bool) -> None:
-    """Print what a finished run came to; raises VerdictNotMet if an `expect` of the procedure is not met."""
+    """Print what a finished run came to.
+
+    Raises VerdictNotMet if an `expect` of the procedure is not met, or something was measured that cannot be believed.
+    """
     from rig.archive.records import Records
     from rig.archive.runs import Runs
+    from rig.calibrate.calibration import text as words
     from rig.cli.calibration import row_of
     from rig.report.run_figures import draw
 
@@ -34,7 +38,7 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     made, why = concluded(records)
     figure = draw(records, made, order.runs / "reports" / run.name)
     rows = [] if made is None else key_results(made, records)
-    missed = list(unmet(order.plan, made))
+    missed = [*unmet(order.plan, made), *(f"{r.key}: {words(r)}" for r in rows if r.rejected)]
     if order.plan.expect:
         run.keep_unmet(missed)
     if as_json:
@@ -69,12 +73,16 @@ def concluded(records: Records) -> tuple[Calibration | None, str]:
 
 
 def key_results(made: Calibration, records: Records) -> list[Result]:
-    """What a technician looks at first: sensitivities; of a noise record, or a run without any, deviations at rest."""
+    """What a technician looks at first: sensitivities; of a noise record, or a run without any, deviations at rest.
+
+    What was measured and cannot be believed is among them, with why.
+    """
     from rig.archive.records import statics
 
-    rows = [r for r in made.results if r.determined and r.measurand in KEY_MEASURANDS]
+    rows = [r for r in made.results if r.rejected or (r.determined and r.measurand in KEY_MEASURANDS)]
     noise = any(body["purpose"] == "noise" for body in statics(records))
-    return [*rows, *(made.of("deviation") if noise or not rows else ())]
+    known = any(r.determined for r in rows)
+    return [*rows, *(made.of("deviation") if noise or not known else ())]
 
 
 def concluding(*names: str) -> list[str]:

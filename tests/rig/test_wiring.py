@@ -8,13 +8,32 @@ from typing import Any
 import fast_bench
 import numpy as np
 import pytest
-from miswired import Poses, Wrong, WrongWorld, turned
+from miswired import Poses, Wrong, WrongWorld, mounted, turned
 
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, text
 from rig.signals.gravity_poses import following
 
 TUMBLE = {"procedure": "tumble", "record": "1 s"}
+NOISE = {"procedure": "noise", "length": "5 s"}
+SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 2, "static": "3 s", "static_after": "0 s"}
+TURNS = {"procedure": "turntable", "revolutions": 2, "rest": "3 s"}
+MOUNTS: Mapping[str, tuple[Mapping[str, Any], Wrong, tuple[str, ...], str]] = {
+    "reversed reference": (
+        SWEEP, Wrong(inverted=frozenset({"ldv"})), ("unit_a_x.sensitivity", "unit_c_x.sensitivity"),
+        "times as declared",
+    ),
+    "upside down": (
+        TURNS, Wrong(told=mounted(inverted="not")), ("gyro_yaw.sensitivity", "backup_yaw.sensitivity"), "is suspected",
+    ),
+    "another radius": (
+        TURNS, Wrong(told=mounted(radius=0.06)), ("unit_a_z.sensitivity_centripetal",), "radius or angle",
+    ),
+    "another axis": (
+        TURNS, Wrong(told=mounted(axis="pitch")), ("gyro_pitch.cross_coupling_yaw", "gyro_yaw.sensitivity"),
+        "another axis",
+    ),
+}  # fmt: skip
 Told = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
 POSES: Mapping[str, tuple[Told, str]] = {
     "skipped": (lambda n, up, last: last if n == 2 else up, "pose 2 (-1.00x): found gravity along +0.99x"),
@@ -65,3 +84,26 @@ def test_any_gain_follows_and_a_wire_without_gravity_does_not() -> None:
     _, off = following(np.column_stack([expected[:, 1], np.full(6, 2.0)]), expected)
     assert off[:, 0].tolist() == [True] * 4 + [False] * 2
     assert off[:, 1].tolist() == [False, False, True, True, False, False]
+
+
+@pytest.mark.parametrize("case", MOUNTS)
+def test_a_mounting_or_a_reference_that_is_another_gives_no_number(case: str) -> None:
+    procedure, wrong, keys, why = MOUNTS[case]
+    made = concluded(procedure, wrong)
+    for key in keys:
+        assert made.result(key).rejected
+        assert why in text(made.result(key))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (Wrong(stuck={"supply": 5.0}), "supply stuck at 0xBFFF, 100 % of samples"),
+        (Wrong(stuck={"temperature": 0.25}), "temperature stuck at 0x8333, 100 % of samples"),
+        (Wrong(swapped=("supply", "temperature")), "found a temperature of 500 °C, wanted -40 to 85 °C"),
+        (Wrong(), ""),
+    ],
+)
+def test_a_supply_or_thermometer_that_cannot_be_believed_is_said(wrong: Wrong, said: str) -> None:
+    flags = concluded(NOISE, wrong).flags
+    assert any(said in flag for flag in flags) if said else not flags

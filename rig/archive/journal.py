@@ -18,6 +18,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePath
 from typing import Any
 
+from rig.errors import ArchiveError
+
 GENESIS = "0" * 64  # what the first line is chained to
 _OPENS, _CLOSES = b',"chain":"', b'"}\n'
 _NO_JSON = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
@@ -26,6 +28,15 @@ _SUFFIX = len(_OPENS) + 64 + len(_CLOSES)
 
 class BrokenLineError(ValueError):
     """A line that is not as it was written; the message is `found …, wanted …`."""
+
+
+class Content(dict[str, Any]):
+    """An object of a line. A key that is not there is the record's fault and not the reader's."""
+
+    def __missing__(self, key: str) -> Any:
+        """Raises ArchiveError."""
+        there = ", ".join(list(self)[:6]) + (", …" if len(self) > 6 else "")
+        raise ArchiveError(f"found no '{key}' in a line of the journal that has {there or 'nothing'}, wanted it")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,9 +68,13 @@ class BlockRef:
 
     @classmethod
     def of(cls, entry: Entry) -> BlockRef:
-        """The block that a line of kind `block` acknowledges."""
-        body = dict(entry.body)
-        return cls(**{**body, "shape": tuple(body["shape"])})
+        """The block that a line of kind `block` acknowledges. Raises ArchiveError if it says something else."""
+        try:
+            return cls(**{**entry.body, "shape": tuple(map(int, entry.body["shape"]))})
+        except (TypeError, ValueError) as error:
+            raise ArchiveError(
+                f"line {entry.n}: found a block of another make ({error}), wanted its name, file, dtype, shape, sha256 and meta"
+            ) from None
 
 
 def line(n: int, t: float, wall: float, kind: str, body: Mapping[str, Any], previous: str) -> tuple[bytes, str]:
@@ -77,7 +92,7 @@ def read_line(raw: bytes, previous: str, n: int) -> Entry:
     if _digest(previous, content) != chain:
         raise BrokenLineError("found contents that do not match the digest, wanted the line as it was written")
     try:
-        entry = Entry(chain=chain, **json.loads(content))
+        entry = Entry(chain=chain, **json.loads(content, object_hook=Content))
     except (ValueError, TypeError) as error:
         raise BrokenLineError(f"found a line of another make ({error}), wanted n, t, wall, kind and body") from None
     if entry.n != n:

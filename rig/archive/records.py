@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import units
-from rig.archive.journal import Entry
+from rig.archive.journal import BlockRef, Entry
 from rig.archive.reader import Run, blocks_of, points_of
 from rig.archive.runs import Runs
 from rig.errors import ArchiveError, BadInput, StandardOverdue
@@ -111,16 +111,17 @@ class Records:
         self.points, self._blocks = points_of(self.lines), blocks_of(self.lines)
 
     def samples(self, name: str) -> Samples:
-        """The record behind a block name; pieces of a long record are joined. KeyError if there is none."""
-        parts = self._blocks[name]
+        """The record behind a block name; pieces of a long record are joined. ArchiveError if there is none."""
+        parts = self._files(name)
         pieces = [self.run.read(part) for part in parts]
         counts = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
         return _samples(counts, parts[0].meta, int(parts[0].meta["first_scan"]))
 
     def pieces(self, name: str) -> Iterator[Samples]:
         """The same in consecutive stretches, mapped from the files."""
-        scan = int(self._blocks[name][0].meta["first_scan"])
-        for part in self._blocks[name]:
+        parts = self._files(name)
+        scan = int(parts[0].meta["first_scan"])
+        for part in parts:
             counts = self.run.read(part)
             for begin in range(0, len(counts), PIECE):
                 stretch = np.asarray(counts[begin : begin + PIECE])
@@ -137,7 +138,7 @@ class Records:
 
     def traces(self, name: str) -> Signals:
         """Simultaneous traces of the oscilloscope."""
-        meta = self._blocks[name][0].meta
+        meta = self._files(name)[0].meta
         volts = self._block(name)
         instants = np.asarray(float(meta["start"]) + float(meta["interval"]) * np.arange(volts.shape[1]), np.float64)
         clipped = dict(zip(meta["names"], meta.get("clipped", ()), strict=False))
@@ -145,18 +146,23 @@ class Records:
 
     def response(self, name: str) -> Response:
         """What the analyzer measured, behind a block name."""
-        return response_of(self._block(name), self._blocks[name][0].meta)
+        return response_of(self._block(name), self._files(name)[0].meta)
 
     def table(self, name: str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         """Imported rows behind a block name, (n, columns), and the columns' names in their file."""
-        return self._block(name), tuple(self._blocks[name][0].meta["columns"])
+        return self._block(name), tuple(self._files(name)[0].meta["columns"])
 
     def _block(self, name: str) -> NDArray[Any]:
-        return self.run.joined(name, self._blocks.get(name, ()))
+        return self.run.joined(name, self._files(name))
+
+    def _files(self, name: str) -> Sequence[BlockRef]:
+        if name not in self._blocks:
+            raise ArchiveError(f"{self.name}: found no block '{name}', wanted it, as a line of the journal names it")
+        return self._blocks[name]
 
     def cube(self, name: str) -> CubeSamples:
         """The Sensor Cube's own frames behind a block name."""
-        return cube_of(self._block(name), self._block(f"{name}-frames"), self._blocks[name][0].meta)
+        return cube_of(self._block(name), self._block(f"{name}-frames"), self._files(name)[0].meta)
 
 
 def _started(run: Run) -> float:
@@ -193,9 +199,13 @@ def cube_of(counts: NDArray[np.uint16], frames: NDArray[np.int64], meta: Mapping
 
 
 def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) -> Samples:
+    try:
+        channels = tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"])
+    except (TypeError, ValueError) as error:
+        raise ArchiveError(f"found channels of another make ({error}), wanted name, slot, low and high each") from None
     return Samples(
         counts=counts,
-        channels=tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"]),
+        channels=channels,
         timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
         start=float(meta["start"]),
         first_scan=first,

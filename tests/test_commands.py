@@ -178,6 +178,21 @@ def test_an_expectation_that_is_not_met_is_exit_code_3(bench: Bench, tmp_path: P
     assert json.loads(bench.rig("verify", "--json").stdout)["sound"]
 
 
+def test_nothing_of_the_working_folder_is_executed(tmp_path: Path) -> None:
+    """Neither by the command nor by the guard and the simulated bench, which it starts here."""
+    for name in ("serial", "numpy", "yaml", "drivers", "fixtures"):
+        (tmp_path / f"{name}.py").write_text(f'raise SystemExit("{name}.py of the working folder was executed")')
+    command = [sys.executable, "-m", "rig", "sweep", *SHORT, "--runs", "runs"]
+    try:
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False
+        )
+        assert "was executed" not in done.stdout + done.stderr
+        assert done.returncode == 0, done.stderr[-2000:]
+    finally:
+        stop(state_folder(describe(shipped("benches/simulated.yaml")), tmp_path / "runs"))
+
+
 def test_a_standard_past_its_date_is_refused_and_the_override_is_on_record(bench: Bench, tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     bench_file = folder / "configs/benches/simulated.yaml"

@@ -497,9 +497,9 @@ def test_what_was_not_met_is_kept_beside_the_sealed_run_and_damage_to_that_costs
 # what is promised of the disk
 
 
-def test_a_block_is_on_the_disk_before_the_journal_names_it(
-    runs: Runs, writer: RunWriter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the system is asked to do with files, as it goes on."""
     done: list[str] = []
 
     def watched(name: str) -> None:
@@ -514,10 +514,20 @@ def test_a_block_is_on_the_disk_before_the_journal_names_it(
 
     for name in ("write", "fsync", "rename"):
         watched(name)
+    return done
+
+
+def test_a_block_is_on_the_disk_before_the_journal_names_it(writer: RunWriter, asked: list[str]) -> None:
     writer.block("a", np.zeros(3, np.uint16))
-    assert done == [
+    assert asked == [
         "write .a.u2.part", "fsync .a.u2.part", "rename .a.u2.part", "fsync blocks", "write journal.jsonl"
     ]  # fmt: skip
+
+
+def test_the_journal_is_on_the_disk_before_the_seal(writer: RunWriter, asked: list[str]) -> None:
+    writer.note("a line")
+    writer.seal("aborted")
+    assert asked[:3] == ["write journal.jsonl", "fsync journal.jsonl", "write .seal.json.part"]
 
 
 def test_a_line_of_the_journal_is_put_on_the_disk_without_being_asked(

@@ -111,7 +111,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: standin\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[rig.drivers]\nstandin = standin_driver\n")
     (tmp_path / "site" / "standin_driver.py").write_text(DRIVER)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"), prepend=os.pathsep)
 
 
 def charge(instrument: Instrument, name: str = "source") -> Charge:

@@ -9,7 +9,7 @@ export UV_PYTHON_DOWNLOADS = never
 # The machine's own certificates: a laboratory network may have its own authority.
 export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: demo test check bench study blind real-data pages lock clean
+.PHONY: demo test check bench study blind fuzz mutants real-data pages lock clean
 
 $(UV):
 	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
@@ -53,6 +53,12 @@ $(V)/.peers: requirements-peers.lock $(V)/.dev
 
 blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 WIRE=20 ONLY=one OUT=…; hours)
 	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(if $(WIRE),--wire $(WIRE)) $(if $(SERIES),--series $(SERIES)) $(foreach table,$(ONLY),--only $(table))
+
+fuzz: $(V)/.dev ## every reader of what comes from outside, with inputs that are nearly right (N=100000 ONLY=… SEED=…; half an hour)
+	@$(V)/bin/python tests/fuzz.py --inputs $(or $(N),100000) --seed $(or $(SEED),0) $(if $(ONLY),--only "$(ONLY)")
+
+mutants: $(V)/.dev ## faults planted where promises of safety and durability are kept: tests must notice (ten minutes)
+	@$(V)/bin/python tests/mutants.py
 
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)
 	@$(V)/bin/python tests/real_data.py --data $(or $(DATA),../shared/data)

@@ -73,7 +73,7 @@ class BlockRef:
             return cls(**{**entry.body, "shape": tuple(map(int, entry.body["shape"]))})
         except (TypeError, ValueError) as error:
             raise ArchiveError(
-                f"line {entry.n}: found a block of another make ({error}), wanted its name, file, dtype, shape, sha256 and meta"
+                f"line {entry.n}: found another block ({error}), wanted name, file, dtype, shape, sha256 and meta"
             ) from None
 
 

@@ -178,6 +178,7 @@ class Effect:
     absorbed: ClassVar[str] = ""
     kinked: ClassVar[bool] = False  # a characteristic that is not smooth
     contains: ClassVar[tuple[str, ...]] = ()  # effects that it is where some of its numbers are certain ones
+    beside: ClassVar[tuple[tuple[str, ...], ...]] = ()  # a search tries it only where one of each group does some good
     entries: ClassVar[bool] = False  # each coordinate says something by itself, and a record may show some of them only
     rarity: ClassVar[float] = 0.0  # how much less usual than its neighbours, as a logarithm of odds
     instrument: ClassVar[str] = ""  # "": any; else it is of this kind of reference only, e.g. "vibrometer"

@@ -31,6 +31,8 @@ FIRST_ROUNDS = 4  # with all columns afresh; those within reach go on
 SHORT = 0.5  # of what a score promised: a quick refit that removes less went astray
 AWAY = (10.0, 100.0)  # steps of a coordinate: not straight any more
 MANY = 8  # starts in a row: of more, every second is tried first
+LIKE = 0.1  # of the best's gain: what one effect promises where another that is much like it acts
+HARDLY = 8.0  # χ² of a score that is worth nothing
 SETTLED = 0.02  # of χ²
 MOSTLY = 0.5  # of what is left in a quantity: less in one channel or unit is no reason to think that it is there alone
 MUCH = 0.25  # the same where something that all channels share may take up a part
@@ -223,9 +225,23 @@ class _Sight:
 
 
 def scores(found: Fit, terms: Iterable[Term], memory: Memory | None = None) -> list[Score]:
-    """The best start of every candidate, most promising first; `memory` keeps columns from one step to the next."""
-    sight = _Sight.of(found, memory)
-    result = [_scored(sight, term) for term in terms]
+    """The best start of every candidate, most promising first; `memory` keeps columns from one step to the next.
+
+    Those that are much like others are left out where none of these promises enough.
+    """
+    sight, terms = _Sight.of(found, memory), list(terms)
+    names = {term.effect.name for term in terms}
+    later = [term for term in terms if any(names.intersection(group) for group in term.effect.beside)]
+    result = [_scored(sight, term) for term in terms if term not in later]
+    most = max((one.gain for one in result), default=0.0)
+    promising = {
+        (one.start.effect.name, one.start.on, one.start.only)
+        for one in result if one.gain > max(LIKE * most, HARDLY)
+    }  # fmt: skip
+    result += [
+        _scored(sight, term) for term in later
+        if all(any((name, term.on, term.only) in promising for name in group) for group in term.effect.beside)
+    ]  # fmt: skip
     return sorted(result, key=lambda one: -one.gain)
 
 

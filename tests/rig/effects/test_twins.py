@@ -61,8 +61,10 @@ def effect_of(name: str) -> Effect:
 def twin_of(name: str, bench: str, seed: int = 4) -> Imperfection:
     """With parameters of usual sizes."""
     parameters = SHELF.kind(name).drawn(np.random.default_rng(seed), bench)
-    if name == "saturation":
+    if name in ("saturation", "one_sided_saturation"):
         parameters["limit"] = 3.0  # here is less motion than in a standard run
+    if name == "one_sided_saturation":
+        parameters["side"] = -1.0  # the way that the table turns
     return SHELF.make(name, parameters)
 
 

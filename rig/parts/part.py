@@ -36,7 +36,9 @@ from rig.signals.peaks import peaks
 
 STEP = 1e-4  # relative, of sensitivities and poles; V, of zeros
 ALLOWANCE = 0.06  # relative uncertainty of an estimated variance
-Origin = Literal["at rest", "averages", "beside the lines", "repeats", "stated", "data sheet", "misfit"]
+Origin = Literal[
+    "at rest", "averages", "beside the lines", "repeats", "stated", "data sheet", "above the motion", "misfit"
+]
 """Where the noise of some rows is known from. What a model leaves over is no independent source: "misfit"."""
 
 

@@ -3,7 +3,8 @@
 Sensor and reference are compared on one even grid, in a band in which both are trustworthy. Every stretch of some
 seconds is turned by a cosine transform, whose lines are nearly independent with the density as variance (Whittle).
 Noise of a device that stood still for some seconds, or whose data sheet is stated, is known whatever the model; what
-the reference's own noise adds while the case moves is told by its readings. Where neither is there, rows are weighed by
+the reference's own noise adds while the case moves is told by its readings. The band above a rotation's motion may tell
+it too. Where none of these is there, rows are weighed by
 the part of each channel that no linear filter of the reference's motion explains (its incoherent part): good enough to
 tell one effect from another, and no ground to call a model adequate, because what is missing lies in it too.
 """

@@ -17,6 +17,7 @@ from rig.foreign.manifest import Column, Rotation
 from rig.foreign.tables import CONDITIONS, Foreign, Table
 from rig.model import Array, Channels
 from rig.parts.conditions import smoothed
+from rig.parts.reading.above_motion import above_motion
 from rig.parts.reading.intervals import signed
 from rig.parts.reading.track_noise import device_noise
 from rig.parts.reference_motion import Shown
@@ -74,7 +75,8 @@ def rotations(foreign: Foreign) -> TrackRecords:
     made = foreign.manifest.rotation
     if made is None:
         raise BadInput(f"{foreign.run}: found no rotation in its manifest, wanted it to say the axis")
-    pieces = _compared(foreign, [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables])
+    grids = [_on_grid(foreign, table, _turned(foreign, table)) for table in foreign.tables]
+    pieces = _compared(foreign, grids)
     data = _joined(foreign, pieces, made)
     whole = max(float(np.sqrt(np.mean(piece.track.rate[piece.track.good] ** 2))) for piece in pieces)
     seen = data.rate if data.kept is None else data.rate * data.kept.any(axis=0)
@@ -83,7 +85,20 @@ def rotations(foreign: Foreign) -> TrackRecords:
             f"{foreign.run}: found nothing but rest between its gaps, wanted some motion{_of_faults(foreign)}"
         )
     noise = device_noise(data, [one.noise for one in _device(foreign)])
-    return replace(data, noise=noise, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
+    data = replace(data, noise=noise)
+    if all(one is None for one in noise) and data.kept is None:
+        data = _above(foreign, data, grids)
+    return replace(data, notes=(*data.notes, *_shaken(foreign, made.axis, data.bands[0])))
+
+
+def _above(foreign: Foreign, data: TrackRecords, grids: Sequence[_Piece]) -> TrackRecords:
+    """The records with the noise that stands above their motion, before they are thinned."""
+    whole = [replace(one, good=one.good & one.kept.all(axis=0)) for one in grids]
+    rows = [one.observed[:, begin:end] for one in whole for begin, end in _whole(one, one.interval)]
+    numbers = [np.concatenate([foreign.si(t, one) for t in foreign.tables]) for one in _device(foreign)]
+    codes = [float(np.min(np.diff(np.unique(one[np.isfinite(one)])), initial=math.inf)) for one in numbers]
+    ends = max(float(np.max(piece.track.bandwidth)) for piece in grids)
+    return above_motion(data, rows, codes, grids[0].interval, ends)
 
 
 def _of_faults(foreign: Foreign) -> str:

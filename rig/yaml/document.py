@@ -21,6 +21,7 @@ from rig.errors import ConfigError, Problem
 KeyPath = tuple[str | int, ...]
 DEEPEST = 50  # levels of nesting; a rig file has five
 LONGEST_NUMBER = 30  # characters
+LARGEST = 500_000  # bytes; reading takes seconds for each million, and a rig file has a few thousand
 
 _INT = re.compile(r"[-+]?(?:0|[1-9][0-9]*|0x[0-9a-fA-F]+)")
 _FLOAT = re.compile(r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
@@ -73,6 +74,8 @@ def read(path: Path) -> Document:
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
         reason = getattr(error, "strerror", None) or error
         _fail(str(path), 1, 1, f"found that it cannot be read ({reason}), wanted a readable YAML file")
+    if len(raw) > LARGEST:
+        _fail(str(path), 1, 1, f"found {len(raw) / 1e6:.1f} MB, wanted a file of at most {LARGEST / 1e6:g} MB")
     try:
         text = raw.removeprefix(codecs.BOM_UTF8).decode()
     except UnicodeDecodeError as error:

@@ -63,6 +63,13 @@ def mistakes(text: str, model: type[BaseModel] = Sequence) -> list[str]:
     return [str(problem) for problem in caught.value.problems]
 
 
+def test_a_file_that_would_take_minutes_to_read_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("steps:\n" + "  - {kind: dwell, seconds: 3 s}\n" * 400_000)
+    with pytest.raises(ConfigError, match=r"found 12\.8 MB, wanted a file of at most 0\.5 MB"):
+        config.load(path, Sequence)
+
+
 def test_a_file_becomes_a_model(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text(

@@ -41,8 +41,9 @@ Shares are given with their 95 % interval (Clopper and Pearson); a small study h
 asked for before the study was made. A world whose diagnosis ended with an error counts as wrong everywhere.
 
 - *Exactly*: the hidden effect is named, and nothing else.
-- *Noise known*: at rest, by a data sheet, from repeats; *not known*: only from what the model leaves over. Free motion
-  before cameras is always of the second sort, and rightly `undecided` where nothing is found.
+- *Noise known*: at rest, by a data sheet, from repeats, by the band above the motion; *not known*: only from what the
+  model leaves over. Free motion before cameras is always of the second sort, and rightly `undecided` where nothing is
+  found.
 - *Any other effect*: also those that are not scored by name above, such as noise, lines and coarse codes.
 - *In a first class of ≤ 3*: effects that the data cannot tell apart are named together, as a class; the first one has
   at most three members, and the truth is one of them.

@@ -307,7 +307,9 @@ def _imported_clean(found: list[Trial]) -> Iterator[Row]:
 
 def _imported_unknown(found: list[Trial]) -> Iterator[Row]:
     what = "imported, clean, noise not known independently: undecided"
-    yield _row(what, found, lambda one: one.is_said("undecided"), "100 %")
+    yield _row(what, [one for one in found if not one.known], lambda one: one.is_said("undecided"), "100 %")
+    shown = [one for one in found if one.known]
+    yield _row("… known by the band above the motion: adequate", shown, lambda one: one.is_said("adequate"), "≥ 95 %")
     yield _row("… an effect named", found, lambda one: bool(one.result["named"]), "≤ 1 %")
 
 

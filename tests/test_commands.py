@@ -17,6 +17,7 @@ from rig.archive.runs import Runs
 from rig.bench.assembly import start_simulated, state_folder
 from rig.bench.benchfile import describe
 from rig.bench.control import Control, stop
+from rig.cli import outcome
 from rig.yaml.config import shipped
 
 SHORT = ("--axis", "x", "--points", "2")
@@ -176,6 +177,13 @@ def test_an_expectation_that_is_not_met_is_exit_code_3(bench: Bench, tmp_path: P
     assert "completed, 1 limit not met" in bench.rig("runs").stdout
     assert "not met: expect sensitivity" in bench.rig("show").stdout
     assert json.loads(bench.rig("verify", "--json").stdout)["sound"]
+
+
+def test_a_run_says_what_was_not_met_and_what_was_measured_in_vain() -> None:
+    unmet = ["expect sensitivity of a: found …", "a.sensitivity: not determined: stuck", "b.deviation: not determined"]
+    said = [outcome.status_text({"status": "completed", "unmet": unmet[:count]}) for count in range(4)]
+    assert said[:2] == ["completed", "completed, 1 limit not met"]
+    assert said[2:] == [f"{said[1]}, 1 result not determined", f"{said[1]}, 2 results not determined"]
 
 
 def test_nothing_of_the_working_folder_is_executed(tmp_path: Path) -> None:

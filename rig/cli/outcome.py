@@ -39,7 +39,7 @@ def present(done: Outcome, order: Order, *, as_json: bool) -> None:
     figure = draw(records, made, order.runs / "reports" / run.name)
     rows = [] if made is None else key_results(made, records)
     missed = [*unmet(order.plan, made), *(f"{r.key}: {words(r)}" for r in rows if r.rejected)]
-    if order.plan.expect:
+    if missed or order.plan.expect:
         run.keep_unmet(missed)
     if as_json:
         print_json(
@@ -171,9 +171,13 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
 
 
 def status_text(summary: Mapping[str, Any]) -> str:
-    """How a run ended, and how many of its limits were not met."""
-    count = len(summary["unmet"])
-    return f"{summary['status']}, {count} {'limit' if count == 1 else 'limits'} not met" if count else summary["status"]
+    """How a run ended, how many of its limits were not met, and how much was measured in vain."""
+    limits = sum(one.startswith("expect ") for one in summary["unmet"])
+    vain = len(summary["unmet"]) - limits
+    said = [summary["status"]]
+    said += [f"{limits} {'limit' if limits == 1 else 'limits'} not met"] if limits else []
+    said += [f"{vain} {'result' if vain == 1 else 'results'} not determined"] if vain else []
+    return ", ".join(said)
 
 
 def unmet(plan: Plan, made: Calibration | None) -> Iterator[str]:

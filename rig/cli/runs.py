@@ -55,8 +55,8 @@ def show(name: str, runs: Path, as_json: bool) -> None:
 
     `status` is one of the [states](../explanation/records-and-durability.md#seal-and-states). In a damaged run what is
     unknown is `null`. `not_safe` says what the run left energised, as far as is known by the log of its guard. `unmet`
-    lists what an `expect` missed when the run was concluded. An imported run has `findings` besides, as `rig import`
-    gives them.
+    lists what an `expect` missed when the run was concluded, and what was measured and cannot be believed. An imported
+    run has `findings` besides, as `rig import` gives them.
     """
     from rig.archive.runs import Runs
     from rig.cli import outcome

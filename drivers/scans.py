@@ -87,6 +87,10 @@ class Pacer:
     def __init__(self, convert_period: float, tolerance: float) -> None:
         self._period, self._tolerance = convert_period, tolerance
         self._begun: tuple[int, int] | None = None
+        self.pace: tuple[float, float] | None = None
+        """What was converted since then, s by the pacer, and when it was taken, s by the machine's clock: of the lump
+        before the last one, for what ends a record is less than a lump and waits for the same tick."""
+        self._latest: tuple[float, float] | None = None
 
     def begin(self, conversions: int, taken_ns: int) -> None:
         """So many conversions had been made at this time. Only the first call counts."""
@@ -101,6 +105,8 @@ class Pacer:
         assert self._begun is not None
         elapsed = (taken_ns - self._begun[1]) * 1e-9
         converted = (conversions - self._begun[0]) * self._period
+        if prompt:
+            self.pace, self._latest = self._latest, (converted, elapsed)
         fast = converted > elapsed * (1.0 + self._tolerance) + LATENESS
         slow = prompt and converted < elapsed * (1.0 - self._tolerance) - LUMP - LATENESS
         if not (fast or slow):
@@ -211,7 +217,8 @@ class Record:
         counts = self._cut(count * len(self.channels)).reshape(count, len(self.channels))
         counts.flags.writeable = False
         first, self.handed = self.handed, self.handed + count
-        return Samples(counts, self.channels, self.timing, self.start, first, self._flags(counts))
+        flags = self._flags(counts)
+        return Samples(counts, self.channels, self.timing, self.start, first, flags, self._pacer.pace)
 
     def _flags(self, counts: NDArray[np.uint16]) -> frozenset[str]:
         flags = set()

@@ -76,7 +76,8 @@ class Samples:
     `counts` is uint16 offset binary, shape (scans, channels): 0 is `low`, 65535 is `high` of the channel.
     `start` is the bench-clock time (s) of the record's first conversion (scan 0 of the record, not of this stretch);
     `first_scan` says where in the record this stretch begins. `flags` name what the service saw ("overflow",
-    "clipped", "slip", "last", "clock").
+    "clipped", "slip", "last", "clock"). `pace`, where it is known: how long the record was when it was looked at,
+    s by the converter's clock and s by that of the machine which takes the conversions.
     """
 
     counts: NDArray[np.uint16]
@@ -85,6 +86,7 @@ class Samples:
     start: float
     first_scan: int = 0
     flags: frozenset[str] = frozenset()
+    pace: tuple[float, float] | None = None
 
     def index(self, name: str) -> int:
         """Column of the named channel; KeyError if it is not in the record."""

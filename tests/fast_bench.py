@@ -141,7 +141,9 @@ class Converter:
         """Nothing to close."""
 
     def _samples(self, counts: NDArray[np.uint16], first: int, flags: frozenset[str]) -> Samples:
-        return Samples(counts, self._channels, self._timing, self._world.epoch + self._begun, first, flags)
+        taken = self._handed * self._timing.scan_period
+        start = self._world.epoch + self._begun
+        return Samples(counts, self._channels, self._timing, start, first, flags, (taken, taken))
 
     def _work_ahead(self, scans: int) -> None:
         """Convert what comes after the scans that wait, at most some seconds of it, and at least what is needed."""

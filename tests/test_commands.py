@@ -201,6 +201,17 @@ def test_nothing_of_the_working_folder_is_executed(tmp_path: Path) -> None:
         stop(state_folder(describe(shipped("benches/simulated.yaml")), tmp_path / "runs"))
 
 
+def test_a_crystal_that_is_half_a_per_cent_fast_is_seen_and_nothing_passes_by_it(bench: Bench) -> None:
+    bench.plant("das16jr.clock", 1.005)
+    try:
+        made = bench.json("turntable", "--revolutions", "3", "--rest", "8 s")
+    finally:
+        bench.plant("das16jr.clock", None)
+    (row,) = [one for one in made["rows"] if one["key"] == "gyro_yaw.sensitivity"]
+    assert (row["status"], row["verdict"]) == ("flagged", "inconclusive")
+    assert "clock is 0.50% ±" in row["remarks"][-1]
+
+
 def test_a_standard_past_its_date_is_refused_and_the_override_is_on_record(bench: Bench, tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     bench_file = folder / "configs/benches/simulated.yaml"

@@ -10,7 +10,7 @@ import numpy as np
 from rig.archive.writer import BlockStream
 from rig.bench import at_shaker
 from rig.bench.cube_record import CubeRecord
-from rig.bench.station import Station, samples_meta
+from rig.bench.station import Station, pace_of, samples_meta
 from rig.bench.steps import Ask, Static, Wait
 from rig.record import Samples
 
@@ -77,6 +77,7 @@ class _Taken:
         self._stream: BlockStream | None = None
         self._sums = np.zeros(2)
         self.scans, self.start = 0, 0.0
+        self._pace: dict[str, Any] = {}
 
     def add(self, samples: Samples) -> None:
         with self._station.storing():
@@ -88,6 +89,7 @@ class _Taken:
         means = [found.get("supply", math.nan), found.get("temperature", math.nan)]
         self._sums += np.array(means) * len(samples.counts)
         self.scans += len(samples.counts)
+        self._pace = pace_of(samples)
 
     def keep(self) -> None:
         """Close what was taken, so that it survives whatever comes next."""
@@ -98,7 +100,8 @@ class _Taken:
     def said(self) -> dict[str, Any]:
         supply, temperature = (self._sums / max(self.scans, 1)).tolist()
         conditions = {"supply": supply, "temperature": temperature}
-        return {"samples": self._name, "scans": self.scans, "start": self.start, "conditions": conditions}
+        body = {"samples": self._name, "scans": self.scans, "start": self.start, "conditions": conditions}
+        return body | self._pace
 
 
 def _converter(step: Static, station: Station, name: str, cube: CubeRecord | None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench.cube_record import joined
-from rig.bench.station import A_PERSON, Station
+from rig.bench.station import A_PERSON, Station, pace_of
 from rig.bench.steps import AlignBeam, SetFilter, Sine, filter_test_request, requests_of
 from rig.errors import BadInput, SettingRefused, SignalLow, SignalOverload, VerdictNotMet
 from rig.record import CubeSamples, Response, Samples, Traces
@@ -239,6 +239,7 @@ def _stored(step: Sine, station: Station, captured: Captured) -> dict[str, Any]:
     samples, response, traces = captured.samples, captured.response, captured.traces
     if samples is not None:
         body["samples"] = station.store(name, samples).name
+        body |= pace_of(samples)
         body["conditions"] = station.conditions(samples)
         body["clipped"] = {c.name: n for c in samples.channels if (n := samples.clipped(c.name))}
     if captured.cube is not None:

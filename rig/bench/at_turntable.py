@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.bench.cube_record import CubeRecord
-from rig.bench.station import A_PERSON, Station, samples_meta
+from rig.bench.station import A_PERSON, Station, pace_of, samples_meta
 from rig.bench.steps import Spin, touch_request
 from rig.errors import VerdictNotMet
 from rig.record import Samples
@@ -36,6 +36,7 @@ class WatchedRecord:
         self.flagged: list[int] = []
         self.revolutions: list[Any] = []
         self.conditions: dict[str, float] = {}
+        self._pace: dict[str, Any] = {}
         self._cube = CubeRecord(station, self.name) if station.keeps("cube") else None
         station.recorder.start(None)
 
@@ -86,6 +87,7 @@ class WatchedRecord:
             "revolutions_seen": len(self.revolutions),
             "missed_index": self.missed,
             "flagged_counts": self.flagged,
+            **self._pace,
             **({} if self._cube is None else self._cube.said()),
         }
 
@@ -96,6 +98,7 @@ class WatchedRecord:
             self._stream.append(samples.counts)
         self.taken += len(samples.counts)
         self.conditions = self._station.conditions(samples)
+        self._pace = pace_of(samples)
 
     def _decoded(self, samples: Samples) -> list[Any]:
         lines = self._decoder.feed(samples)

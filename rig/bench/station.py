@@ -224,6 +224,11 @@ def cube_meta(samples: CubeSamples) -> dict[str, Any]:
     return meta if samples.clock is None else meta | {"clock": asdict(samples.clock)}
 
 
+def pace_of(samples: Samples) -> dict[str, Any]:
+    """For a step's line: how long the record was by the converter's clock and by another one, if that is known."""
+    return {} if samples.pace is None else {"pace": list(samples.pace)}
+
+
 def samples_meta(samples: Samples) -> dict[str, Any]:
     """What turns a block of counts back into Samples."""
     return {

@@ -25,6 +25,7 @@ from rig.calibrate.judging import believed
 from rig.calibrate.merging import together
 from rig.calibrate.screening import Screened, screened
 from rig.calibrate.shaker_runs import ShakerRuns
+from rig.calibrate.time_base import clock_of, flagged
 from rig.calibrate.turntable_runs import TurntableRuns
 from rig.errors import BadInput
 from rig.fit.evidence import evidence_of
@@ -80,7 +81,8 @@ def _of_bench(
     turned = TurntableRuns(basis)
     results = _on_model(shaken, turned, assumed, fits)
     results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
-    results = [*looked.flagged(said(results, basis.recorder)), *looked.rows(sensor)]
+    clocks = [] if chosen == "cube" else [one for run in runs if (one := clock_of(run)) is not None]
+    results = [*flagged(looked.flagged(said(results, basis.recorder)), clocks), *looked.rows(sensor)]
     _refuse_nothing(runs, results)
     second = second_route(basis.runs, sensor, shaken.setup())
     if second is not None:

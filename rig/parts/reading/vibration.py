@@ -209,7 +209,10 @@ def _driven(where: str, nominal: float, found: Signals, wire: str) -> tuple[floa
     if cycles < SHORTEST:
         raise BadInput(f"{where}: found a record of {cycles:.2g} cycles, wanted at least {SHORTEST:g}")
     skew = float(found.skew[found.names.index(wire)])
-    fitted = tone.fit_four(found.instants + skew, found.of(wire), nominal, _countable(nominal, found.rate))
+    try:
+        fitted = tone.fit_four(found.instants + skew, found.of(wire), nominal, _countable(nominal, found.rate))
+    except BadInput as error:
+        return nominal, (f"no sine to be fitted to the reference ({error})",)
     away = abs(seconds * fitted.frequency - round(seconds * fitted.frequency))
     return fitted.frequency, (f"not whole cycles ({cycles:.2f})",) if away > WHOLE else ()
 

@@ -172,7 +172,7 @@ def faces() -> Foreign:
 
 
 @pytest.mark.parametrize(
-    ("quantity", "upright", "blamed"), [("rate", True, "reference_tilt"), ("acceleration", False, "cross_axis")]
+    ("quantity", "upright", "blamed"), [("rate", True, "cross_axis_matrix"), ("acceleration", False, "cross_axis")]
 )
 def test_no_effect_is_blamed_for_axes_that_are_others(quantity: str, upright: bool, blamed: str) -> None:
     wrong = mounted(rotation(clean(5), 5, seconds=40.0, stated=1, rest=8.0, upright=upright), quantity, CYCLED)

@@ -128,6 +128,9 @@ def numbers(read: Read) -> str:
         seen += [getattr(motion, name).tobytes() for name in ("force", "rate", "turning", "temperature", "along")]
         seen += [getattr(channels, name).tobytes() for name in ("rates", "axis", "slot", "sensitivity", "tolerance")]
         seen += [channels.pole.tobytes(), channels.names, part.target.tobytes(), part.held_out.tobytes()]
+        seen += [
+            np.asarray(part.observed).tobytes()
+        ]  # a target is in units of the noise, which the record itself may tell
         seen += [part.allowance_of(name, mask) for name in part.row_names for mask in part.domains().values()]
         seen += [part.name, part.extra.tobytes(), getattr(part, "notes", ()), getattr(part.data, "level", ())]
     return repr([*seen, [(term.key, term.prior) for term in known]])

@@ -61,6 +61,8 @@ def _lines(rows: Sequence[Array], step: float, low: float, high: float) -> Array
     None if there are too few.
     """
     count = round(SEGMENT / step)
+    if count < 2 * PARTS:
+        return None
     window = np.hanning(count)
     scale = math.sqrt(2.0 * step / float(window @ window))
     f = np.fft.rfftfreq(count, step)

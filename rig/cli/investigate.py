@@ -156,19 +156,16 @@ def _facts(bench: Path | None) -> BenchFacts:
 
 
 def _document(body: Any) -> Any:
-    import yaml
-
     from rig.yaml import document
 
-    return document.read_text(yaml.safe_dump(dict(body), allow_unicode=True, sort_keys=False), "(next measurement)")
+    return document.read_text(document.written(body), "(next measurement)")
 
 
 def _written(one: Ranked, path: Path) -> Path:
-    import yaml
+    from rig.yaml import document
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    body = {"title": f"{one.option.name}: {one.option.why}", **one.option.document}
-    text = yaml.safe_dump(body, allow_unicode=True, sort_keys=False)
+    text = document.written({"title": f"{one.option.name}: {one.option.why}", **one.option.document})
     path.write_text(f"# decides between {one.pair[0]} and {one.pair[1]}\n{text}", encoding="utf-8")
     return path
 

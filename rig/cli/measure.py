@@ -188,11 +188,9 @@ def _procedure_path(file: Path) -> Path:
 
 def _document(body: dict[str, Any]) -> Document:
     """A procedure given on the command line, as the YAML file that would say the same."""
-    import yaml
-
     from rig.yaml import document
 
-    return document.read_text(yaml.safe_dump(dict(body), allow_unicode=True, sort_keys=False), "(command line)")
+    return document.read_text(document.written(body), "(command line)")
 
 
 def _measure_document(body: dict[str, Any], label: str, options: dict[str, Any]) -> None:

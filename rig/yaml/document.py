@@ -102,6 +102,18 @@ def read_text(text: str, name: str) -> Document:
     return Document(name, root, _value(root))
 
 
+def written(body: Mapping[str, Any]) -> str:
+    """Plain data as YAML text, in their order; also what a journal's lines hold, which is a dict of another sort."""
+    return str(yaml.dump(body, Dumper=_Writer, allow_unicode=True, sort_keys=False))
+
+
+class _Writer(yaml.SafeDumper):
+    """Writes every sort of dict like a dict."""
+
+
+_Writer.add_multi_representer(dict, yaml.SafeDumper.represent_dict)
+
+
 class _StrictLoader(yaml.SafeLoader):
     """Composes nodes only; refuses anchors, aliases, tags and bottomless nesting where they stand."""
 

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from pydantic import BaseModel, ConfigDict, Field, RootModel, field_validator
 
+from rig.archive import journal
 from rig.errors import BadInput, ConfigError, Problem, WorkFailed
 from rig.units import Frequency, Length, Time
-from rig.yaml import config
+from rig.yaml import config, document
 
 ROOT = Path(__file__).parents[2]
 
@@ -61,6 +62,13 @@ def mistakes(text: str, model: type[BaseModel] = Sequence) -> list[str]:
     with pytest.raises(ConfigError) as caught:
         config.validate(config.read_text(text, "a.yaml"), model)
     return [str(problem) for problem in caught.value.problems]
+
+
+def test_what_a_journal_holds_is_written_as_the_yaml_that_it_was() -> None:
+    body = {"procedure": "sequence", "steps": [{"stop": "1 kHz", "levels": ["full"]}], "title": "µ"}
+    raw, _ = journal.line(0, 0.0, 0.0, "header", {"document": body}, journal.GENESIS)
+    kept = journal.read_line(raw, journal.GENESIS, 0).body["document"]
+    assert config.read_text(document.written(kept), "a.yaml").data == body
 
 
 def test_a_file_that_would_take_minutes_to_read_is_refused_before_it_is_read(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ $(V)/.peers: requirements-peers.lock $(V)/.dev
 blind: $(V)/.dev $(if $(PEERS),$(V)/.peers) ## hidden effects, sealed answers, scores (N=30 is all; PEERS=1 WIRE=20 ONLY=one OUT=…; hours)
 	@$(V)/bin/python tests/benchmarks/blind.py --worlds $(or $(N),30) --out $(or $(OUT),runs/blind) $(if $(PEERS),--peers --page docs/blind_test.md) $(if $(WIRE),--wire $(WIRE)) $(if $(SERIES),--series $(SERIES)) $(foreach table,$(ONLY),--only $(table))
 
-fuzz: $(V)/.dev ## every reader of what comes from outside, with inputs that are nearly right (N=100000 ONLY=… SEED=…; half an hour)
+fuzz: $(V)/.dev ## every reader of what comes from outside, with inputs that are nearly right (N=100000 ONLY=… SEED=…; five minutes)
 	@$(V)/bin/python tests/fuzz.py --inputs $(or $(N),100000) --seed $(or $(SEED),0) $(if $(ONLY),--only "$(ONLY)")
 
 mutants: $(V)/.dev ## faults planted where promises of safety and durability are kept: tests must notice (ten minutes)

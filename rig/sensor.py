@@ -200,6 +200,9 @@ def rotation_about(axis: str) -> str:
 
 def _channel(name: str, row: Mapping[str, Any], triad: str) -> SensorChannel:
     quantity: Quantity = row["quantity"]
+    if quantity not in ("acceleration", "rate") or row["axis"] not in AXES:
+        wanted = "wanted acceleration or rate along x, y or z"
+        raise BadInput(f"sensor file: found {quantity} along {row['axis']} for {name}, {wanted}")
     kind = "sensitivity" if quantity == "acceleration" else "rate_sensitivity"
     return SensorChannel(
         name, triad, str(row["part"]), quantity, str(row["axis"]), units.parse(row["sensitivity"], kind),

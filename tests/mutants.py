@@ -113,7 +113,7 @@ MUTANTS = (
            "(*found, *_not_here(left, found))", "found", LEFT, "not_in_the_bench_file"),
     Mutant("what is noted before it is sent is not sent without a guard", "rig/bench/watched.py",
            "        self._guard.expect(self._patience)\n        self._transcript", "        self._transcript",
-           LEFT, "sends_nothing"),
+           "tests/rig/test_watched.py", "noted"),
     Mutant("the board has one owner", "drivers/daq_service.py",
            "                self._own(asker)\n", "                self._owner = asker\n", SERVICE, "one_owner"),
     Mutant("memory stays bounded for a client that does not read", "drivers/daq_service.py",

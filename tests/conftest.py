@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import pytest
 
 from rig.bench import control
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded: as the program and the Makefile have it
 
 CLEAN = Path(__file__).parents[1] / "configs" / "worlds" / "clean.yaml"
 HERE = Path(__file__).parent

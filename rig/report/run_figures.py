@@ -132,8 +132,9 @@ def rotation(records: Recorded) -> Figure | None:
 
 
 def density(records: Recorded) -> Figure | None:
-    """Noise density of the sensors at rest."""
+    """Noise density of the sensors at rest; none where the converter kept nothing."""
     bodies = [e.body for e in records.lines if e.kind == "point" and e.body.get("purpose") == "noise"]
+    bodies = [body for body in bodies if "samples" in body]
     if not bodies:
         return None
     from scipy.signal import welch
@@ -161,8 +162,11 @@ def _log_bins(frequency: Any, power: Any, bins: int = 150) -> tuple[Any, Any]:
 
 
 def poses(records: Recorded) -> Figure | None:
-    """What is left of every accelerometer's mean output when the straight line against gravity is taken out."""
-    found = poses_of(records)
+    """What is left of every accelerometer's mean output when the straight line against gravity is taken out.
+
+    None where the converter kept nothing.
+    """
+    found = [one for one in poses_of(records) if "samples" in one[1]]
     if len(found) < 6:
         return None
     figure, (ax,) = _new(1, 4.5, f"{records.header['title']}: residual of the straight line against gravity")

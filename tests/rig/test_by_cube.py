@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import fast_bench
 import numpy as np
@@ -18,6 +20,7 @@ from rig.fit.evidence import evidence_of
 from rig.fit.fit import begin, fit
 from rig.parts.reading import by_cube
 from rig.parts.sweep import Sweep
+from rig.report import run_figures
 
 SEEDS = range(41, 45)
 RUNS = (
@@ -33,12 +36,16 @@ TRUTH = {"sensitivity": "sensitivity", "sensitivity_gravity": "sensitivity", "se
 @cache
 def recorded(seed: int) -> tuple[fast_bench.MemoryRecords, ...]:
     """On the bench of the configurations, with converter and cube as recorders."""
+    return kept_by("[recorder, cube]", seed, *RUNS)
+
+
+def kept_by(recorders: str, seed: int, *procedures: Mapping[str, Any]) -> tuple[fast_bench.MemoryRecords, ...]:
     configs, world = fast_bench.BENCH.parents[1], fast_bench.world(seed)
     text = fast_bench.BENCH.read_text(encoding="utf-8").replace("../", f"{configs}/")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "bench.yaml"
-        path.write_text(text.replace("[recorder, analyzer, scope]", "[recorder, cube]"), encoding="utf-8")
-        return tuple(fast_bench.measure(one, world, bench=path) for one in RUNS)
+        path.write_text(text.replace("[recorder, analyzer, scope]", recorders), encoding="utf-8")
+        return tuple(fast_bench.measure(one, world, bench=path) for one in procedures)
 
 
 @cache
@@ -112,3 +119,12 @@ def test_harmonics_that_others_fall_on_at_the_cubes_rate_are_left_out() -> None:
             assert k * f < 0.45 * rate
             others = [m * f for m in range(1, 13) if m != k]
             assert min(abs(abs(m - rate * round(m / rate)) - k * f) for m in others) >= 3.0
+
+
+@pytest.mark.parametrize(
+    "procedure", [{"procedure": "tumble", "record": "1 s"}, {"procedure": "noise", "length": "5 s"}]
+)
+def test_what_the_cube_alone_kept_is_no_figure_of_the_converter_and_no_error(procedure: Mapping[str, Any]) -> None:
+    (records,) = kept_by("[cube]", 41, procedure)
+    assert run_figures.poses(records) is None
+    assert run_figures.density(records) is None

@@ -44,7 +44,7 @@ def recorder_of(runs: Sequence[Recorded], sensor: Sensor, wanted: Recorder | Non
         )
     if wanted is not None:
         return wanted
-    return "cube" if kept == {"cube"} else "converter"
+    return next((one for one in ("converter", "scope", "cube") if one in kept), "converter")
 
 
 def _kept(records: Recorded, sensor: Sensor) -> Iterator[Recorder]:

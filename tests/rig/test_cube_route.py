@@ -203,3 +203,14 @@ def test_the_oscilloscope_can_be_asked_for() -> None:
     assert 0.0 < abs(one.value - other.value) < 4.0 * apart(one, other)
     with pytest.raises(BadInput, match="no record of the sensor by the cube"):
         calibrate([run], "none", recorder="cube")
+
+
+def test_a_sweep_that_only_the_oscilloscope_kept_is_calibrated_by_it(tmp_path: Path) -> None:
+    path, world = tmp_path / "bench.yaml", fast_bench.world(22)
+    text = fast_bench.BENCH.read_text(encoding="utf-8").replace("../", f"{fast_bench.BENCH.parents[1]}/")
+    path.write_text(text.replace("[recorder, analyzer, scope]", "[scope]"), encoding="utf-8")
+    document = {**SWEEP, "points": 3, "static": "0 s", "static_after": "0 s"}
+    made = calibrate([fast_bench.measure(document, world, bench=path)], "alone")
+    found = made.result("unit_a_x.sensitivity")
+    assert found.value == pytest.approx(world.truth["sensitivity"]["unit_a_x"], abs=found.expanded)
+    assert "oscilloscope" in found.method

@@ -1,7 +1,7 @@
 """A clean world in which a cable, a hand or a channel has gone wrong, for `fast_bench`.
 
 Faults of a channel change what every recorder sees of it; what the operator does wrong changes what was asked for, and
-the answer is the same as always. A spike is one sample long.
+the answer is the same as always. A spike is one sample long. What is said of codes is of the converter's, over ±10 V.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from numpy.typing import NDArray
 from fixtures.world import World
 
 Array = NDArray[np.float64]
-Told = Callable[[str, dict[str, Any]], dict[str, Any]]  # what was asked for → what is done
+Told = Callable[[str, dict[str, Any]], dict[str, Any] | None]  # what was asked for → what is done; None: nothing
 VERTICAL = 2  # cube axis about which poses are turned here
+LOW, STEP = -10.0, 20.0 / 65535.0  # V
 
 
 @dataclass(frozen=True)
 class Wrong:
     """`swapped` names two channels; `inverted` sensors have the other sign about their zero; `stuck` at volts; `cut`
     off above or below (V); `spikes`: how many samples of a record stand out, and by how many volts; `gain` of a
-    channel about its zero; `told` what the operator makes of a request.
+    channel about its zero; `told` what the operator makes of a request. `copied` channels see the wire of another;
+    `hanging` bits of a channel's code always read one; a `loose` channel is at 0 V for that share of every second;
+    `drive` is how much of the set level the source gives.
     """
 
     swapped: tuple[str, str] | tuple[()] = ()
@@ -36,6 +39,10 @@ class Wrong:
     spikes: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     gain: Mapping[str, float] = field(default_factory=dict)
     told: Told | None = None
+    copied: Mapping[str, str] = field(default_factory=dict)
+    hanging: Mapping[str, int] = field(default_factory=dict)
+    loose: Mapping[str, float] = field(default_factory=dict)
+    drive: float = 1.0
 
 
 class WrongWorld(World):
@@ -47,17 +54,21 @@ class WrongWorld(World):
 
     def volts(self, names: Sequence[str], times: Sequence[Array]) -> list[Array]:
         one, other = self._wrong.swapped or ("", "")
-        wired = [{one: other, other: one}.get(name, name) for name in names]
+        wired = [self._wrong.copied.get(name, {one: other, other: one}.get(name, name)) for name in names]
         return [
-            self._spoilt(name, signal, volts)
-            for name, signal, volts in zip(names, wired, super().volts(wired, times), strict=True)
+            self._spoilt(name, signal, volts, when)
+            for name, signal, volts, when in zip(names, wired, super().volts(wired, times), times, strict=True)
         ]
 
     def perform(self, action: str, settings: Mapping[str, Any], text: str) -> str:
         told = self._wrong.told
-        return super().perform(action, settings if told is None else told(action, dict(settings)), text)
+        done = dict(settings) if told is None else told(action, dict(settings))
+        return "done" if done is None else super().perform(action, done, text)
 
-    def _spoilt(self, name: str, signal: str, volts: Array) -> Array:
+    def set_source(self, *, level: float | None = None, **more: Any) -> None:
+        super().set_source(level=None if level is None else level * self._wrong.drive, **more)
+
+    def _spoilt(self, name: str, signal: str, volts: Array, when: Array) -> Array:
         wrong, sensor = self._wrong, self.physics.cube.sensors.get(signal)
         zero = 0.0 if sensor is None else sensor.zero
         gain = wrong.gain.get(name, 1.0) * (-1.0 if name in wrong.inverted else 1.0)
@@ -69,6 +80,11 @@ class WrongWorld(World):
         if name in wrong.spikes and len(found) > 1:
             count, height = wrong.spikes[name]
             found[self._random.integers(1, len(found) - 1, count)] += height
+        if name in wrong.loose:
+            found = np.where(np.mod(when, 1.0) < wrong.loose[name], 0.0, found)
+        if name in wrong.hanging:
+            codes = np.rint((np.clip(found, LOW, -LOW) - LOW) / STEP).astype(np.int64)
+            found = LOW + (codes | wrong.hanging[name]) * STEP
         return np.asarray(found)
 
 

@@ -89,11 +89,8 @@ class Samples:
     pace: tuple[float, float] | None = None
 
     def index(self, name: str) -> int:
-        """Column of the named channel; KeyError if it is not in the record."""
-        for column, channel in enumerate(self.channels):
-            if channel.name == name:
-                return column
-        raise KeyError(name)
+        """Column of the named channel; ValueError if it is not in the record."""
+        return [channel.name for channel in self.channels].index(name)
 
     def volts(self, name: str) -> NDArray[np.float64]:
         """One channel in volts, shape (scans,)."""
@@ -193,9 +190,13 @@ class CubeSamples:
     start: float
     clock: ClockFit | None = None
 
+    def index(self, name: str) -> int:
+        """Column of the named channel; ValueError if there is no such channel."""
+        return self.names.index(name)
+
     def volts(self, name: str) -> NDArray[np.float64]:
-        """One channel in volts, shape (n,); ValueError if there is no such channel."""
-        return np.asarray(self.counts[:, self.names.index(name)] / 65535.0 * 5.0, np.float64)
+        """One channel in volts, shape (n,)."""
+        return np.asarray(self.counts[:, self.index(name)] / 65535.0 * 5.0, np.float64)
 
     def supply_volts(self) -> NDArray[np.float64]:
         """Supply, V, shape (n,): counted through a divider by two."""
@@ -211,5 +212,5 @@ class CubeSamples:
 
     def clipped(self, name: str) -> int:
         """How many samples of the channel sit on the first or last code."""
-        column = self.counts[:, self.names.index(name)]
+        column = self.counts[:, self.index(name)]
         return int(np.count_nonzero((column == 0) | (column == 65535)))

@@ -36,6 +36,7 @@ from rig.errors import RigError, SettingRefused
 ROOT = Path(__file__).parents[1]
 CORPUS = Path(__file__).parent / "corpus"
 SLOWEST = 2.0  # s for one input
+OF_A_FIT = 20.0  # s, where a sound input takes four
 MEMORY = 500_000_000  # bytes beyond what the process has when it begins
 LONGEST = 6  # changes to one input
 FRAMES = 20  # in one stream
@@ -57,6 +58,7 @@ class Reader:
     refuses: tuple[type[Exception], ...] = ()
     weight: float = 1.0
     words: Sequence[bytes] = field(default=())  # that change meaning more often than random bytes do
+    slowest: float = SLOWEST
 
 
 def _text(raw: bytes) -> str:
@@ -224,6 +226,22 @@ def _run(raw: bytes) -> None:
     """A valid chain with odd contents: what shows a run reads it, or says what is wrong with it."""
     from rig.cli import outcome
 
+    run = _odd_run(raw)
+    run.summary()
+    run.verify()
+    outcome.run_as_text(run)
+
+
+def _modelled(raw: bytes) -> None:
+    """The same, for what fits a model to a run's records."""
+    from rig.archive.records import Records
+    from rig.calibrate.calibrate import calibrate
+
+    calibrate([Records(_odd_run(raw))], "fuzz")
+
+
+def _odd_run(raw: bytes) -> Run:
+    """A run whose journal has these lines, each chained to the one before."""
     shelf, chain, written = _shelf(), journal.GENESIS, b""
     for number, line in enumerate(raw.split(b"\n")):
         try:
@@ -239,10 +257,7 @@ def _run(raw: bytes) -> None:
         written += data
     (shelf.folder / "journal.jsonl").write_bytes(written)
     (shelf.folder / "seal.json").unlink(missing_ok=True)
-    run = Run(shelf.folder)
-    run.summary()
-    run.verify()
-    outcome.run_as_text(run)
+    return Run(shelf.folder)
 
 
 def _seeds_of(pattern: str, prefix: bytes = b"") -> Callable[[], list[bytes]]:
@@ -306,6 +321,7 @@ READERS = (
     Reader("config", _config, _configs, (RigError,), 0.2, YAML_WORDS),
     Reader("journal", _journal, _lines_of_a_journal, (journal.BrokenLineError,), 1.0, JSON_WORDS),
     Reader("run", _run, _lines_of_a_run, (RigError,), 0.02, JSON_WORDS),
+    Reader("modelled run", _modelled, _lines_of_a_run, (RigError,), 0.004, JSON_WORDS, OF_A_FIT),
     Reader("converter frames", _frames, _stream_of_frames),
     Reader("cube frames", _cube, _stream_of_cube),
     Reader("cobs", _cobs, _of("\x01\x01", "\x03ab\x02c", "\x04abc"), (sensor_cube.FrameError,)),
@@ -357,7 +373,7 @@ def read(reader: Reader, raw: bytes) -> None:
     with contextlib.suppress(*reader.refuses):
         reader.read(raw)
     took = time.process_time() - began
-    assert took < SLOWEST, f"{reader.name}: {took:.1f} s for {raw[:80]!r}"
+    assert took < reader.slowest, f"{reader.name}: {took:.1f} s for {raw[:80]!r}"
 
 
 def kept(reader: Reader) -> list[bytes]:

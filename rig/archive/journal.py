@@ -95,9 +95,15 @@ def read_line(raw: bytes, previous: str, n: int) -> Entry:
         entry = Entry(chain=chain, **json.loads(content, object_hook=Content))
     except (ValueError, TypeError) as error:
         raise BrokenLineError(f"found a line of another make ({error}), wanted n, t, wall, kind and body") from None
+    if not (_is_time(entry.t) and _is_time(entry.wall) and isinstance(entry.body, Mapping)):
+        raise BrokenLineError("found a line of another make, wanted times in seconds and a body of names and values")
     if entry.n != n:
         raise BrokenLineError(f"found line number {entry.n}, wanted {n}")
     return entry
+
+
+def _is_time(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def claimed_chain(raw: bytes) -> str:

@@ -113,7 +113,7 @@ class Run:
 
     def read(self, reference: BlockRef) -> NDArray[Any]:
         """The numbers of one file, mapped and read-only."""
-        path, dtype = self.path / reference.file, np.dtype(reference.dtype)
+        path, dtype = self.path / reference.file, _numbers(reference)
         wanted = int(np.prod(reference.shape, dtype=np.int64)) * dtype.itemsize
         found = path.stat().st_size if path.exists() else -1
         if found != wanted:
@@ -244,6 +244,18 @@ class Run:
         if acknowledged != seal.body["blocks"]:
             problems.append(f"{SEAL}: found other blocks than in the journal, wanted the same")
         return problems
+
+
+def _numbers(reference: BlockRef) -> np.dtype[Any]:
+    """The kind of numbers of a block; ArchiveError if it is none."""
+    wanted = f"block {reference.name}: found numbers of the kind {reference.dtype!r}, wanted one such as '<u2'"
+    try:
+        dtype = np.dtype(reference.dtype)
+    except (TypeError, ValueError):
+        raise ArchiveError(wanted) from None
+    if dtype.kind not in "uifcb" or min(reference.shape, default=0) < 0:
+        raise ArchiveError(wanted)
+    return dtype
 
 
 def points_of(lines: Iterable[Entry]) -> dict[int, Mapping[str, Any]]:

@@ -43,7 +43,7 @@ class Recorded(Protocol):
     @property
     def points(self) -> Mapping[int, Mapping[str, Any]]: ...
     def samples(self, name: str) -> Samples:
-        """The whole record behind a block name; KeyError if there is none."""
+        """The whole record behind a block name; ArchiveError if there is none."""
         ...
 
     def pieces(self, name: str) -> Iterator[Samples]:
@@ -76,6 +76,29 @@ def is_imported(records: Recorded) -> bool:
     return bool(records.header.get("procedure") == IMPORT)
 
 
+def column_of(name: str, names: Sequence[str]) -> int:
+    """Where a channel stands among those of a record. Raises ArchiveError if it is not one of them."""
+    if name not in names:
+        raise ArchiveError(f"found a record of {', '.join(names) or 'no channel'}, wanted one with '{name}'")
+    return list(names).index(name)
+
+
+class KeptSamples(Samples):
+    """A stretch of a record of the archive: a channel that it lacks is the record's fault and not the reader's."""
+
+    def index(self, name: str) -> int:
+        """Column of the named channel; ArchiveError if it is not in the record."""
+        return column_of(name, [channel.name for channel in self.channels])
+
+
+class KeptCubeSamples(CubeSamples):
+    """Frames of the archive, as `KeptSamples` are."""
+
+    def index(self, name: str) -> int:
+        """Column of the named channel; ArchiveError if it is not in the record."""
+        return column_of(name, self.names)
+
+
 @dataclass(frozen=True)
 class Signals:
     """Channels of one record: volts, shape (n, channels), at `instants` (n,) + `skew` (channels,), both s.
@@ -97,9 +120,13 @@ class Signals:
         """Samples per second of one channel, Hz."""
         return (len(self.instants) - 1) / float(self.instants[-1] - self.instants[0])
 
+    def column(self, name: str) -> int:
+        """Where a channel stands among the others; ArchiveError if it is not in the record."""
+        return column_of(name, self.names)
+
     def of(self, name: str) -> NDArray[np.float64]:
         """Volts of one channel, shape (n,)."""
-        return self.volts[:, self.names.index(name)]
+        return self.volts[:, self.column(name)]
 
 
 class Records:
@@ -182,7 +209,7 @@ def response_of(columns: NDArray[np.float64], meta: Mapping[str, Any]) -> Respon
 
 def cube_of(counts: NDArray[np.uint16], frames: NDArray[np.int64], meta: Mapping[str, Any]) -> CubeSamples:
     """The cube's frames from their two blocks; gaps and clock of a stream are those of its first stretch."""
-    return CubeSamples(
+    return KeptCubeSamples(
         names=tuple(meta["names"]),
         counts=counts,
         sequence=frames[:, 0],
@@ -201,15 +228,25 @@ def cube_of(counts: NDArray[np.uint16], frames: NDArray[np.int64], meta: Mapping
 def _samples(counts: NDArray[np.uint16], meta: Mapping[str, Any], first: int) -> Samples:
     try:
         channels = tuple(Channel(str(n), int(k), float(low), float(high)) for n, k, low, high in meta["channels"])
-    except (TypeError, ValueError) as error:
+        timing = Timing(float(meta["convert_period"]), int(meta["scan_channels"]))
+        start, flags = float(meta["start"]), frozenset(meta["flags"])
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArchiveError(f"found channels of another make ({error}), wanted name, slot, low and high each") from None
-    return Samples(
-        counts=counts,
-        channels=channels,
-        timing=Timing(float(meta["convert_period"]), int(meta["scan_channels"])),
-        start=float(meta["start"]),
-        first_scan=first,
-        flags=frozenset(meta["flags"]),
+    if not _is_record(counts, channels, timing):
+        raise ArchiveError(
+            f"found {len(channels)} channels for a record of the shape {counts.shape}, in a scan of {timing.channels} "
+            f"every {timing.convert_period:g} s, wanted one for each column, and slots within the scan"
+        )
+    return KeptSamples(counts=counts, channels=channels, timing=timing, start=start, first_scan=first, flags=flags)
+
+
+def _is_record(counts: NDArray[np.uint16], channels: Sequence[Channel], timing: Timing) -> bool:
+    """Whether the columns are these channels, each with a slot of the scan and a range."""
+    return (
+        counts.ndim == 2
+        and counts.shape[1] == len(channels)
+        and 0.0 < timing.convert_period < math.inf
+        and all(0 <= one.slot < timing.channels and -math.inf < one.low < one.high < math.inf for one in channels)
     )
 
 

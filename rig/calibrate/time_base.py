@@ -12,10 +12,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.archive.records import Recorded, reference
 from rig.calibrate.calibration import Result
-from rig.errors import BadInput
+from rig.errors import ArchiveError, BadInput
 
 LINE = "time base"  # of the budgets that stand on the converter's clock
 LATE, U_LATE = 0.03, 0.05  # s: how late conversions are taken, as far as is known without looking
@@ -53,7 +54,7 @@ def clock_of(run: Recorded) -> Clock | None:
     paces = [entry.body["pace"] for entry in run.lines if "pace" in entry.body]
     if not paces:
         return None
-    converted, elapsed = np.array(paces, np.float64).T
+    converted, elapsed = _seconds(paces, run.name)
     design = np.column_stack([np.ones_like(elapsed), -elapsed])
     rows = np.vstack([design / SCATTER, [1.0 / U_LATE, 0.0]])
     right = np.append((elapsed - converted) / SCATTER, LATE / U_LATE)
@@ -62,6 +63,15 @@ def clock_of(run: Recorded) -> Clock | None:
     left = right - rows @ solution
     scatter = math.sqrt(max(float(left @ left) / max(len(paces) - 1, 1), 1.0))
     return Clock(run.name, float(solution[1]), scatter * math.sqrt(float(covariance[1, 1])), _stated(run))
+
+
+def _seconds(paces: Sequence[object], run: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How long every record was, s by the converter and s by its machine. Raises ArchiveError for anything else."""
+    try:
+        converted, elapsed = np.array(paces, np.float64).T
+    except (TypeError, ValueError) as error:
+        raise ArchiveError(f"{run}: found another pace ({error}), wanted two times in seconds") from None
+    return converted, elapsed
 
 
 def flagged(results: Iterable[Result], clocks: Sequence[Clock]) -> Iterator[Result]:

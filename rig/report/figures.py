@@ -115,7 +115,7 @@ class _Sine:
     def cycles(self, name: str) -> tuple[Array, Array]:
         """The first few cycles: milliseconds and volts."""
         count = max(8, math.ceil(CYCLES / float(self.body["frequency"]) * self.signals.rate))
-        skew = float(self.signals.skew[self.signals.names.index(name)])
+        skew = float(self.signals.skew[self.signals.column(name)])
         times = self.signals.instants[:count] + skew - self.signals.instants[0]
         return times * 1e3, self.signals.of(name)[:count]
 

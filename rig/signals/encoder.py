@@ -282,7 +282,7 @@ class Decoder:
     def feed(self, samples: Samples, *, final: bool = False) -> Lines:
         """Lines and index pulses that this chunk completes. `final`: no chunk follows, place what is near the end.
 
-        Raises KeyError if a channel is missing, ValueError if the chunk does not follow the last one.
+        Raises what the samples do if a channel is missing, ValueError if the chunk does not follow the last one.
         """
         if self._next_scan not in (-1, samples.first_scan):
             raise ValueError(f"found a chunk from scan {samples.first_scan}, wanted one from {self._next_scan}")
@@ -309,5 +309,5 @@ class Decoder:
 
 
 def decode(samples: Samples, settings: Settings | None = None) -> Lines:
-    """A whole record at once. Raises KeyError if a channel is missing."""
+    """A whole record at once. Raises ArchiveError if a channel is missing."""
     return Decoder(settings).feed(samples, final=True)

@@ -140,7 +140,7 @@ def _driven(records: Recorded, point: SinePoint, channels: Channels, chain: Chai
     lines[:, 1:ORDERS][:, ~_alone(point.frequency, seen.samples.rate)] = np.nan
     at = np.asarray(point.frequency * np.arange(1, ORDERS), np.float64)
     per_volt = np.abs(2.0 * math.pi * at * chain.velocity_per_volt(point.scale, at))
-    order = [signals.names.index(name) for name in channels.names]
+    order = [signals.column(name) for name in channels.names]
     one = _record(seen, channels, seen.whole, lines, left[seen.whole][:, order], point, mains)
     yield replace(
         one, begin=seen.start + float(seen.instants[0]), seconds=len(seen.instants) / seen.samples.rate,

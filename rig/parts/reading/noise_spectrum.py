@@ -97,7 +97,7 @@ def _pieces(
                 break
             one = signals(stretch)
             rate, step, period = 1.0 / stretch.timing.scan_period, one.step, stretch.timing.convert_period
-            waiting = np.concatenate([waiting, one.volts[:, [one.names.index(name) for name in names]]])
+            waiting = np.concatenate([waiting, one.volts[:, [one.column(name) for name in names]]])
             size = round(PIECE * rate)
             while len(waiting) >= size and len(found) < MOST:
                 found.append(waiting[:size])

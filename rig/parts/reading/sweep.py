@@ -136,7 +136,7 @@ class _Gate:
 def _gated(sine: Sine, chain: Chain) -> _Gate:
     """Fit the reference again without samples beyond six robust standard deviations, until none is left."""
     found, point = sine.record, sine.point
-    column = found.names.index(chain.wire)
+    column = found.column(chain.wire)
     left = sine.left[:, column]
     count = int(np.count_nonzero(np.isfinite(point.acceleration)))
     shown = np.concatenate([[0.0], point.acceleration])
@@ -198,7 +198,7 @@ def _record(
     names = list(found.names)
     free = np.array([not found.clipped.get(name) for name in names])
     marked = taken(np.asarray(at, np.float64), point.frequency if point else None, resolution)
-    leftover = Leftover(begin, resolution, spectrum, spectrum[:, names.index(wires.reference)], marked)
+    leftover = Leftover(begin, resolution, spectrum, spectrum[:, found.column(wires.reference)], marked)
     return _Record(
         begin=begin,
         seconds=count / found.rate,

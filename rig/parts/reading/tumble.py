@@ -94,7 +94,7 @@ def _used(channels: Channels, rows: Indices) -> tuple[Indices, list[str]]:
 
 def whole_of(records: Recorded, found: Sequence[Signals], channels: Channels) -> Whole:
     """Records one after the other, with the zero outputs that they show."""
-    numbers = np.concatenate([one.volts[:, [one.names.index(n) for n in channels.names]] for one in found]).T
+    numbers = np.concatenate([one.volts[:, [one.column(n) for n in channels.names]] for one in found]).T
     time = np.concatenate([one.start + one.instants for one in found])
     conditions = {name: _condition(found, name, scale) for name, scale in LOGGED.items()}
     ends = np.cumsum([len(one.instants) for one in found])

@@ -208,7 +208,7 @@ def _driven(where: str, nominal: float, found: Signals, wire: str) -> tuple[floa
     cycles = seconds * nominal
     if cycles < SHORTEST:
         raise BadInput(f"{where}: found a record of {cycles:.2g} cycles, wanted at least {SHORTEST:g}")
-    skew = float(found.skew[found.names.index(wire)])
+    skew = float(found.skew[found.column(wire)])
     try:
         fitted = tone.fit_four(found.instants + skew, found.of(wire), nominal, _countable(nominal, found.rate))
     except BadInput as error:

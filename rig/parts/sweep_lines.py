@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.parts.sweep_records import Leftover
-from rig.signals import noise
+from rig.signals import noise, tone
 from rig.signals.spectrum import Density, log_bins
 
 Array = NDArray[np.float64]
@@ -49,7 +49,13 @@ def taken(at: Array, frequency: float | None, resolution: float, orders: int = F
 
 def density(leftovers: Sequence[Leftover], row: int, mains: float | None) -> Density:
     """Density of a channel's leftovers, V²/Hz, averaged over all records in bins of log frequency."""
-    gathered: list[tuple[Array, Array]] = []
+    return densities(leftovers, np.array([row]), mains)[0]
+
+
+def densities(leftovers: Sequence[Leftover], rows: NDArray[np.intp], mains: float | None) -> list[Density]:
+    """The same of several channels; which lines are noise is the same for all."""
+    lines: list[Array] = []
+    gathered: list[Array] = []
     for left in leftovers:
         at = np.asarray(np.arange(len(left.amplitude)) * left.resolution, np.float64)
         hum = np.zeros(len(at), np.bool_)
@@ -57,11 +63,13 @@ def density(leftovers: Sequence[Leftover], row: int, mains: float | None) -> Den
             hum = np.abs(at / mains - np.round(at / mains)) * mains < LIMIT * left.resolution
         free = ~left.taken & ~hum
         free[-1] = False
-        gathered.append((at[free], np.abs(left.amplitude[free, row]) ** 2 / (2.0 * left.resolution)))
-    f, power = (np.concatenate([one[k] for one in gathered]) for k in (0, 1))
+        lines.append(at[free])
+        gathered.append(np.abs(left.amplitude[np.ix_(free, rows)].T) ** 2 / (2.0 * left.resolution))
+    f, powers = np.concatenate(lines), np.concatenate(gathered, axis=1)
     # equal frequencies of many records: a tiny step apart, for bins that rise
     order = np.argsort(f, kind="stable")
-    return log_bins(f[order] * (1.0 + 1e-12 * np.arange(len(f))), power[order], PER_DECADE, 2.0)
+    rising = f[order] * (1.0 + 1e-12 * np.arange(len(f)))
+    return [log_bins(rising, power[order], PER_DECADE, 2.0) for power in powers]
 
 
 def slow_noise(found: Density, pole: float | None, first: Leftover, step: float) -> noise.NoiseModel:
@@ -129,7 +137,7 @@ def filled(t: Array, values: Array, faulty: Mask, rate: float, frequency: float)
 def _rows(t: Array, count: int, frequency: float, lines: Array) -> Array:
     """Rows cos, −sin of so many harmonics, one, then cosines and −sines of further lines (Hz); (2k + 1 + 2m, n)."""
     rows = np.empty((2 * count + 1 + 2 * len(lines), len(t)))
-    turning = np.exp(2j * math.pi * frequency * t)
+    turning = tone.phasors(2.0 * math.pi * frequency * t)
     power = np.ones_like(turning)
     for k in range(count):
         power *= turning

@@ -134,7 +134,7 @@ def fit_four(
 
 def residual(tone: Tone, instants: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """What a fit leaves over, shape (n,), in the unit of the values."""
-    turning = np.exp(2j * math.pi * tone.frequency * instants)
+    turning = phasors(2.0 * math.pi * tone.frequency * instants)
     total, power = np.full(len(instants), tone.offset), np.ones(len(instants), np.complex128)
     for amplitude in tone.amplitudes:
         power = power * turning
@@ -219,18 +219,19 @@ class _Cosines:
             here = slice(begin, min(begin + CHUNK, len(self._t)))
             x = self._t[here] - self.middle
             if first is None or not self._even:
-                first = _turning(omega * x)
+                first = phasors(omega * x)
                 yield here, x, first
             else:
                 turn = complex(math.cos(omega * self._step * begin), math.sin(omega * self._step * begin))
                 yield here, x, first[: len(x)] * turn
 
 
-def _turning(angle: NDArray[np.float64]) -> NDArray[np.complex128]:
-    turning = np.empty(len(angle), np.complex128)
-    np.cos(angle, out=turning.real)
-    np.sin(angle, out=turning.imag)
-    return turning
+def phasors(angle: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """exp(j·angle), same shape; in two halves it takes a third of the time."""
+    turned = np.empty(angle.shape, np.complex128)
+    np.cos(angle, out=turned.real)
+    np.sin(angle, out=turned.imag)
+    return turned
 
 
 @dataclass(frozen=True)

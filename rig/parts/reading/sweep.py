@@ -23,7 +23,7 @@ from rig.parts.reading.reading import Reading
 from rig.parts.reading.sessions import begun
 from rig.parts.reading.vibration import Chain, Sine, SinePoint, chain_of, sine_points, sines
 from rig.parts.sweep import Sweep
-from rig.parts.sweep_lines import LIMIT, density, drive_clock, slow_noise, taken
+from rig.parts.sweep_lines import LIMIT, densities, drive_clock, slow_noise, taken
 from rig.parts.sweep_records import LINES, MAINS_ORDERS, Leftover, SweepRecords, directions
 from rig.record import Wires
 from rig.signals import tone
@@ -188,9 +188,8 @@ def _record(
     resolution = found.rate / count
     spectrum = np.fft.rfft(left, axis=0) * (2.0 / count)
     at = np.arange(len(spectrum)) * resolution
-    spectrum *= np.exp(-2j * math.pi * at[:, None] * found.skew)
-    for place, order in enumerate(MAINS_ORDERS, ORDERS):
-        lines[:, place] = _at(left, found, order * mains)
+    spectrum *= tone.phasors(-2.0 * math.pi * at[:, None] * found.skew)
+    lines[:, ORDERS:] = _at(left, found, mains * np.array(MAINS_ORDERS))
     lines[:, ORDERS:] *= np.exp(-2j * math.pi * mains * np.array(MAINS_ORDERS) * begin)
     if point is not None:
         lines[:, _mingled(point.frequency, mains, resolution)] = np.nan
@@ -223,11 +222,11 @@ def _mingled(frequency: float, mains: float, resolution: float) -> NDArray[np.bo
     return ~np.concatenate([[True, True], apart[1:], of_mains])
 
 
-def _at(left: Array, found: Signals, frequency: float) -> Complexes:
-    """Amplitude at one frequency of every channel, at a common instant."""
-    t = np.arange(len(left)) / found.rate
-    turned = np.exp(-2j * math.pi * frequency * t) @ left * (2.0 / len(left))
-    return np.asarray(turned * np.exp(-2j * math.pi * frequency * found.skew))
+def _at(left: Array, found: Signals, frequencies: Array) -> Complexes:
+    """Amplitudes at a few frequencies of every channel, at a common instant, (channels, frequencies)."""
+    angle = 2.0 * math.pi * frequencies[:, None] * (np.arange(len(left)) / found.rate)
+    turned = (np.cos(angle) @ left - 1j * (np.sin(angle) @ left)).T * (2.0 / len(left))
+    return np.asarray(turned * tone.phasors(-2.0 * math.pi * found.skew[:, None] * frequencies))
 
 
 def _mean(found: Signals, name: str, factor: float) -> float:
@@ -247,10 +246,10 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
     channels = channels_of(records, cables, relative_to=wires_of(records).reference)
     rows = np.array([cables.index(n) for n in channels.names])
     leftovers = [one.leftover for one in whole]
-    densities = [density(leftovers, row, mains) for row in rows]
+    noises = densities(leftovers, rows, mains)
     step = 20.0 / 65535.0
     models = tuple(
-        slow_noise(d, float(pole), leftovers[0], step) for d, pole in zip(densities, channels.pole, strict=True)
+        slow_noise(d, float(pole), leftovers[0], step) for d, pole in zip(noises, channels.pole, strict=True)
     )
     points = [one.point for one in whole]
     frequency = np.array([0.0 if p is None else p.frequency for p in points])
@@ -265,7 +264,7 @@ def _joined(records: Recorded, name: str, axis: str, whole: Sequence[_Record], m
         channels=channels,
         observed=np.asarray(observed),
         before=np.asarray(np.array([one.before[rows] for one in whole]).transpose(1, 0, 2)),
-        variance=_variances(densities, whole, observed, mains),
+        variance=_variances(noises, whole, observed, mains),
         noise=models,
         shown=np.nan_to_num(
             [np.zeros(ORDERS) if p is None else np.concatenate([[0.0], p.acceleration]) for p in points]

@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.calibrate.accelerometers import ChannelFit
 from rig.calibrate.calibration import Check
@@ -25,7 +24,7 @@ from rig.motion import Array, Complexes
 DRAWS = 200  # u(Δ) is then known to five per cent
 SEED = 1
 SLACK = 0.1  # of the noise's share: the two reductions do not treat every sample alike
-Draw = NDArray[np.inexact]
+Draw = Any  # an array, or what its part makes one of anew
 
 
 class Replayed(Protocol):
@@ -36,7 +35,7 @@ class Replayed(Protocol):
     def noise_like(self, row: int, random: np.random.Generator, count: int) -> Draw: ...
     def felt(self, row: int, drawn: Draw, influence: Array) -> Array: ...
     def spans(self) -> tuple[Array, Array]: ...
-    def means_of(self, row: int, drawn: Draw) -> Array: ...
+    def summed(self, row: int, drawn: Draw, weights: Array) -> Array: ...
     def driven_of(self, row: int, drawn: Draw) -> Mapping[tuple[str, int], Complexes]: ...
 
 
@@ -114,11 +113,13 @@ def of_means(begin: Array, end: Array, weights: Array) -> Direct:
         total = np.zeros(DRAWS)
         for one in drawn:
             first, last = one.part.spans()
-            at, length, values = 0.5 * (first + last), last - first, one.part.means_of(one.row, one.noise)
+            at, length = 0.5 * (first + last), last - first
+            of_window = np.zeros(len(at))
             for b, e, weight in zip(begin, end, weights, strict=True):
                 inside = (at >= b) & (at < e)
                 if inside.any():
-                    total += weight * (values[:, inside] @ length[inside]) / float(length[inside].sum())
+                    of_window[inside] += weight * length[inside] / float(length[inside].sum())
+            total += one.part.summed(one.row, one.noise, of_window)
         return total
 
     return changed

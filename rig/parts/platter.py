@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -37,6 +37,15 @@ HIGHEST_FORCE, HIGHEST_RATE = 1.2, 10.0
 KNOWN = 120.0  # s at rest that make a density as well known as the allowance says
 
 
+@dataclass(frozen=True)
+class WindowNoise:
+    """Noise of the windows of a channel, drawn `count` times by the usual generator in this state."""
+
+    row: int
+    count: int
+    state: Mapping[str, Any]
+
+
 class Platter(Part):
     """A turntable run as a part of a fit."""
 
@@ -53,8 +62,6 @@ class Platter(Part):
         self.grid = Stretches(data.interval, data.records, lines_of(data))
         self._moved: dict[tuple[object, ...], Motion] = {}
         self._memory = Memory()
-        # what was drawn last: from which state of the generator, noise, its rows, and the generator's state behind it
-        self._drawn: tuple[str, Array, Array, Mapping[str, Any]] | None = None
 
     @property
     def observed(self) -> Array:
@@ -153,50 +160,61 @@ class Platter(Part):
         found[:, : len(self.data.stretches)] = np.einsum("cst,ct->cs", self._means[rows], np.concatenate(means, axis=1))
         return found
 
-    def noise_like(self, row: int, random: np.random.Generator, count: int) -> Array:
-        """Noise as that of one channel, V, drawn so often: (count, n), nothing in windows that no stretch has.
+    def noise_like(self, row: int, random: np.random.Generator, count: int) -> WindowNoise:
+        """Noise as that of one channel, V, drawn so often; of a long run it is never all there at once.
 
         Means of the stretches have the covariance of the run, lines of each the density of the noise.
         """
-        before = repr((row, count, random.bit_generator.state))
-        if self._drawn is None or self._drawn[0] != before:
-            found = self._draw(row, random, count)
-            self._drawn = before, found, self._whitened(found, np.full(count, row)), random.bit_generator.state
-        _, drawn, _, random.bit_generator.state = self._drawn
+        drawn = WindowNoise(row, count, random.bit_generator.state)
+        for _ in self._drawn(drawn, random):
+            pass  # what is drawn after it is drawn behind it
         return drawn
 
-    def _draw(self, row: int, random: np.random.Generator, count: int) -> Array:
-        from scipy.fft import idct
-
-        data, found = self.data, np.zeros((count, self.data.observed.shape[1]))
+    def _drawn(self, noise: WindowNoise, random: np.random.Generator) -> Iterator[Array]:
+        """Lines of the cosine transform of every stretch, V, (count, m)."""
+        data, model = self.data, self.data.noise[noise.row]
         since = float(data.time[0])
         begin = np.array([data.time[b] for b, _ in data.stretches]) - since - 0.5 * data.interval
         end = np.array([data.time[e - 1] for _, e in data.stretches]) - since + 0.5 * data.interval
-        root = np.linalg.cholesky(data.noise[row].covariance(begin, end))
-        means = random.standard_normal((count, len(begin))) @ root.T
+        root = np.linalg.cholesky(model.covariance(begin, end))
+        means = random.standard_normal((noise.count, len(begin))) @ root.T
         for k, (b, e) in enumerate(data.stretches):
             f = np.arange(1, e - b) / (2.0 * (e - b) * data.interval)
-            lines = random.standard_normal((count, e - b)) * np.sqrt(
-                np.concatenate([[0.0], data.noise[row].density(f) / (2.0 * data.interval)])
+            lines = random.standard_normal((noise.count, e - b)) * np.sqrt(
+                np.concatenate([[0.0], model.density(f) / (2.0 * data.interval)])
             )
             lines[:, 0] = means[:, k] * np.sqrt(e - b)
-            found[:, b:e] = idct(lines, type=2, norm="ortho", axis=1)
-        return found
+            yield lines
+
+    def _summed(self, drawn: WindowNoise, weights: Sequence[Array]) -> Array:
+        """Sums of the lines of every stretch with these weights, (m,) each: V, (count,)."""
+        random = np.random.default_rng()
+        random.bit_generator.state = drawn.state
+        total = np.zeros(drawn.count)
+        for lines, of_lines in zip(self._drawn(drawn, random), weights, strict=True):
+            total += lines @ of_lines
+        return total
+
+    def summed(self, row: int, drawn: WindowNoise, weights: Array) -> Array:
+        """Sums of windows with these weights, (n,), of what `noise_like` drew, (count,); nothing outside stretches."""
+        from scipy.fft import dct
+
+        return self._summed(drawn, [dct(weights[b:e], type=2, norm="ortho") for b, e in self.data.stretches])
 
     def spans(self) -> tuple[Array, Array]:
         """Begin and end (bench clock, s) of every window, (n,)."""
         half = 0.5 * self.data.interval
         return self.data.time - half, self.data.time + half
 
-    def felt(self, row: int, drawn: Array, influence: Array) -> Array:
+    def felt(self, row: int, drawn: WindowNoise, influence: Array) -> Array:
         """What an estimate with this influence of the rows, (rows,), makes of what `noise_like` drew, (count,)."""
-        known = self._drawn is not None and self._drawn[1] is drawn
-        rows = self._drawn[2] if known and self._drawn else self._whitened(drawn, np.full(len(drawn), row))
-        return np.asarray(rows @ influence.reshape(-1, self.width)[row])
-
-    def means_of(self, row: int, drawn: Array) -> Array:
-        """Means of what `noise_like` drew, (count, n)."""
-        return drawn
+        of_rows, at = influence.reshape(-1, self.width)[row], len(self.data.stretches)
+        of_means, weights = of_rows[:at] @ self._means[row], []
+        for mean, scale in zip(of_means, self._scales, strict=True):
+            count = scale.shape[1] + 1
+            weights.append(np.concatenate([[mean / math.sqrt(count)], of_rows[at : at + count - 1] * scale[row]]))
+            at += count - 1
+        return self._summed(drawn, weights)
 
     def driven_of(self, row: int, drawn: Array) -> dict[tuple[str, int], Complexes]:
         """Nothing is driven here."""

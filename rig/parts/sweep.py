@@ -226,9 +226,9 @@ class Sweep(Part):
         """Begin and end (bench clock, s) of every mean, (p,)."""
         return self.data.begin, self.data.end
 
-    def means_of(self, row: int, drawn: Complexes) -> Array:
-        """Means of a channel in what `noise_like` drew, (count, p)."""
-        return np.asarray(drawn[:, row, :, 0].real)
+    def summed(self, row: int, drawn: Complexes, weights: Array) -> Array:
+        """Sums of a channel's means with these weights, (p,), of what `noise_like` drew, (count,)."""
+        return np.asarray(drawn[:, row, :, 0].real @ weights)
 
     def driven_of(self, row: int, drawn: Complexes) -> dict[tuple[str, int], Complexes]:
         """Relative change of a channel's driven line by what `noise_like` drew, by run and point, (count,) each."""

@@ -43,6 +43,7 @@ SLOW = 0.3  # Hz; slower motion is kept whole
 NEIGHBOURS = 40  # lines of a transform on either side
 KNOT = 48  # lines between knots of the track: wow passes, the patterns that sampled edges leave do not
 END = 16  # windows at either end of a record whose parabola tells how the rate changes there: half a second
+AT_ONCE = 1 << 14  # intervals between lines looked at together: 4 MB with their neighbours
 LOCAL = 15  # lines on either side whose median interval says how long one should take
 
 
@@ -199,8 +200,7 @@ def _moving(body: Mapping[str, Any], found: Windows, edges: Edges, mount: Mappin
 def _restored(edges: Edges) -> tuple[Array, NDArray[np.intp]]:
     """Times of all lines, and how many were put back after each: where a gap is twice the local interval."""
     gaps = np.diff(edges.times)
-    padded = np.pad(gaps, LOCAL, mode="reflect")
-    local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * LOCAL + 1), axis=1)
+    local = _local_median(gaps)
     missing = np.maximum(np.round(gaps / local - 0.15).astype(np.intp) - 1, 0)
     # a platter that starts or stops changes its pace within a few lines
     slow = gaps > 4.0 * float(np.median(gaps))
@@ -210,6 +210,13 @@ def _restored(edges: Edges) -> tuple[Array, NDArray[np.intp]]:
     more = [edges.times[k] + gaps[k] * (j + 1.0) / (missing[k] + 1.0)
             for k in np.flatnonzero(missing) for j in range(int(missing[k]))]  # fmt: skip
     return np.sort(np.concatenate([edges.times, np.array(more)])), missing
+
+
+def _local_median(gaps: Array) -> Array:
+    """The median of every interval and its neighbours, a stretch at a time, (n,)."""
+    padded = np.pad(gaps, LOCAL, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * LOCAL + 1)
+    return np.concatenate([np.median(windows[k : k + AT_ONCE], axis=1) for k in range(0, len(windows), AT_ONCE)])
 
 
 def _shifted(index_line: NDArray[np.int64], missing: NDArray[np.intp]) -> NDArray[np.int64]:

@@ -10,8 +10,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
+import io
 import itertools
 import json
+import os
 import random
 import resource
 import sys
@@ -22,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pages
 
@@ -260,6 +262,101 @@ def _odd_run(raw: bytes) -> Run:
     return Run(shelf.folder)
 
 
+def _enclosed(form: str) -> Callable[[bytes], None]:
+    """A reader of binary files in a process of its own: a copy of this one, which is there sooner than a new one."""
+    from rig.foreign import enclosed
+
+    def read_there(raw: bytes) -> None:
+        with tempfile.TemporaryFile() as out, tempfile.TemporaryFile("w+") as said:
+            child = os.fork()
+            if child == 0:
+                _answer_and_end(form, raw, out, said)
+            _, status, usage = os.wait4(child, 0)
+            took, code = usage.ru_utime + usage.ru_stime, os.waitstatus_to_exitcode(status)
+            out.seek(0)
+            said.seek(0)
+            words = said.read()
+            assert code != 1, words.strip().splitlines()[-1]  # what its readers may not raise
+            assert took < SLOWEST, f"{form}: {took:.1f} s in the process"
+            assert usage.ru_maxrss * 1024 < _resident() + MEMORY, f"{form}: {usage.ru_maxrss} kB in the process"
+            for _, array in enclosed.given(form, code, out.read(), words.encode()):
+                assert array.dtype.kind in "biuf"
+
+    return read_there
+
+
+def _answer_and_end(form: str, raw: bytes, out: IO[bytes], said: IO[str]) -> None:
+    from rig.foreign import enclosed
+
+    code = 1
+    try:
+        enclosed.confine(len(raw))
+        code = enclosed.answer(form, raw, out, said)
+        out.flush()
+    except BaseException as error:  # noqa: BLE001 - told to the parent, as the interpreter would
+        print(f"{type(error).__name__}: {error}", file=said)
+    finally:
+        said.flush()
+        os._exit(code)
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+
+
+def _binary_files(form: str) -> Callable[[], list[bytes]]:
+    import numpy as np
+
+    from rig.foreign import enclosed
+
+    counts, table = np.arange(40, dtype=np.int16), np.arange(120.0).reshape(3, 40)
+    fields = np.zeros(20, [("t", "<f8"), ("gyro", "<i4", (2,))])
+
+    def made() -> list[bytes]:
+        enclosed.load(form)
+        writers = {"npy": _npy_files, "npz": _npz_files, "mat": _mat_files, "hdf5": _hdf5_files}
+        return [file.getvalue() for file in writers[form](counts, table, fields)]
+
+    return made
+
+
+def _npy_files(*arrays: Any) -> Iterator[io.BytesIO]:
+    import numpy as np
+
+    for array in (*arrays, arrays[1].T):
+        np.save(file := io.BytesIO(), array)
+        yield file
+
+
+def _npz_files(counts: Any, table: Any, fields: Any) -> Iterator[io.BytesIO]:
+    import numpy as np
+
+    for save in (np.savez, np.savez_compressed):
+        save(file := io.BytesIO(), counts=counts, table=table, fields=fields)
+        yield file
+
+
+def _mat_files(counts: Any, table: Any, fields: Any) -> Iterator[io.BytesIO]:
+    from scipy.io import savemat
+
+    for compressed in (False, True):
+        whole = {"t": table, "imu": {"counts": counts, "more": fields, "said": "by hand"}, "cells": [counts, table]}
+        savemat(file := io.BytesIO(), whole, do_compression=compressed)
+        yield file
+
+
+def _hdf5_files(counts: Any, table: Any, fields: Any) -> Iterator[io.BytesIO]:
+    import h5py
+
+    for more in ({}, {"compression": "gzip", "shuffle": True}, {"chunks": True, "fletcher32": True}):
+        with h5py.File(file := io.BytesIO(), "w") as kept:
+            kept.create_dataset("imu/gyro", data=table, **more)
+            kept.create_dataset("imu/counts", data=counts, **more)
+            kept["fields"] = fields
+            kept["imu"].attrs["said"] = "by hand"
+        yield file
+
+
 def _seeds_of(pattern: str, prefix: bytes = b"") -> Callable[[], list[bytes]]:
     return lambda: [prefix + path.read_bytes() for path in sorted(ROOT.glob(pattern))]
 
@@ -336,6 +433,8 @@ READERS = (
     Reader("quantity", _quantity, _of("500 Hz", "33 1/3 rpm", "1e-3 m/s²"), (), 0.5, _words("/ ² e 999 % nan")),
     Reader("converter service", _service, _of(SERVED), (), 0.5,
            _words("-1 1e999 nan 0x10 99999999999999999999 , INIT DATA?")),
+    *(Reader(form, _enclosed(form), _binary_files(form), (RigError,), 0.02, (b"\xff" * 4, b"\xff\xff\xff\x7f"))
+      for form in ("npy", "npz", "mat", "hdf5")),
 )  # fmt: skip
 
 

@@ -407,14 +407,17 @@ def reference(records: Recorded, standard: str, quantity: str) -> Reference:
     """One value of a standard of the run's bench.
 
     Raises BadInput if the bench had no such standard, StandardOverdue if it was past its due date when the run began
-    and nobody ordered otherwise.
+    and nobody ordered otherwise, ArchiveError if the header says of it what no standard can be.
     """
-    for found in records.header["standards"]:
-        if found["standard"] == standard and quantity in found["values"]:
-            _refuse_overdue(records, found)
-            stated = found["values"][quantity]
-            value, expanded = (units.parse(stated[key], stated["kind"]) for key in ("value", "expanded_uncertainty"))
-            return Reference(standard, quantity, value, expanded / stated["coverage_factor"], found["certificate"])
+    try:
+        for found in records.header["standards"]:
+            if found["standard"] == standard and quantity in found["values"]:
+                _refuse_overdue(records, found)
+                stated = found["values"][quantity]
+                value, u = (units.parse(stated[key], stated["kind"]) for key in ("value", "expanded_uncertainty"))
+                return Reference(standard, quantity, value, u / stated["coverage_factor"], found["certificate"])
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise ArchiveError(f"{records.name}: found '{standard}' of another make ({error}), wanted a standard") from None
     raise BadInput(f"{records.name}: found no {quantity} of a standard '{standard}', wanted one in the bench file")
 
 

@@ -10,18 +10,15 @@ An NPY file's only variable is called `array`. Fields of structures and groups a
 
 from __future__ import annotations
 
-import io
 import re
-import zipfile
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import BadInput
-from rig.foreign import matlab_files, text_files
+from rig.foreign import enclosed, text_files
 from rig.foreign.text_files import Columns, Csv, no_column
 
 __all__ = ["Columns", "Csv", "Format", "columns", "format_of", "names", "no_column", "read"]
@@ -72,52 +69,10 @@ def read(raw: bytes, form: Format, wanted: Sequence[str], how: Csv = PLAIN) -> C
 
 def _arrays(raw: bytes, form: str) -> dict[str, NDArray[Any]]:
     """Every array of numbers in a file, by name."""
-    readers = {"npy": _npy, "npz": _npz, "mat": matlab_files.arrays, "hdf5": _hdf5}
-    found = {name: array for name, array in readers[form](raw) if array.dtype.kind in "biuf" and 0 < array.ndim < 3}
+    found = {name: array for name, array in enclosed.arrays(raw, form) if 0 < array.ndim < 3}
     if not found:
         raise BadInput("found no array of numbers with one or two dimensions, wanted some")
     return found
-
-
-def _npy(raw: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    try:
-        yield from _fields("array", np.load(io.BytesIO(raw), allow_pickle=False))
-    except (ValueError, EOFError, OSError) as error:
-        raise BadInput(f"found no NPY file of plain numbers ({error})") from error
-
-
-def _npz(raw: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
-            for name in archive.files:
-                yield from _fields(name, archive[name])
-    except (ValueError, EOFError, OSError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise BadInput(f"found no NPZ file of plain numbers ({error})") from error
-
-
-def _fields(name: str, array: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """A structured array as its fields, any other as it is."""
-    if array.dtype.names is None:
-        yield name, array
-    else:
-        yield from ((f"{name}.{field}", array[field]) for field in array.dtype.names)
-
-
-def _hdf5(raw: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    import h5py
-
-    found: dict[str, NDArray[Any]] = {}
-
-    def keep(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.shape:
-            found.update(_fields(name, np.asarray(item[()])))
-
-    try:
-        with h5py.File(io.BytesIO(raw), "r") as file:
-            file.visititems(keep)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise BadInput(f"found no HDF5 file that can be read ({error})") from error
-    yield from found.items()
 
 
 def _columns_of(name: str, array: NDArray[Any]) -> list[str]:

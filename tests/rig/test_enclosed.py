@@ -11,14 +11,18 @@ import pytest
 from scipy.io import savemat
 
 from rig.errors import BadInput
-from rig.foreign import matlab_files
-from rig.foreign.matlab_files import arrays
+from rig.foreign import enclosed
+from rig.foreign.enclosed import Found
 
 RANDOM = np.random.default_rng(6)
 WHOLE: dict[str, Any] = {
     "t": np.arange(40.0) / 100.0, "imu": {"gyro": RANDOM.normal(size=(3, 40)), "counts": np.arange(40, dtype=np.int16)},
     "note": "by hand",
 }  # fmt: skip
+
+
+def arrays(raw: bytes) -> Found:
+    return enclosed.arrays(raw, "mat")
 
 
 def written(compressed: bool) -> bytes:
@@ -48,7 +52,7 @@ def test_a_damaged_file_is_refused_or_read_and_never_ends_the_program(place: int
 
 
 def test_a_reader_that_dies_by_a_signal_is_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matlab_files, "__name__", "rig.foreign.there_is_none")
+    monkeypatch.setattr(enclosed, "__name__", "rig.foreign.there_is_none")
     with pytest.raises(BadInput, match="its reader stopped"):
         list(arrays(written(compressed=True)))
 

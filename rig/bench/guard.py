@@ -1,10 +1,12 @@
 """The guard: a small process that leaves the bench at rest when the program cannot.
 
 It is started before anything is energised and holds the other end of a pipe. While heartbeats come in and the program
-gets on it does nothing. When the pipe closes (the program was killed), when no heartbeat comes (it was stopped, or all
-of it hangs), or when they go on about the same thing for longer than that may take (its work hangs), the guard connects
-to each instrument anew, through that instrument's own driver, and makes it safe. A program that has left the bench at
-rest itself says so, and the guard ends without a word to the instruments.
+gets on it does nothing. When the kernel says that a thread of the program has died (`rig.bench.lifeline`), when the
+pipe closes (all of it has gone, and has sent its last byte), when no heartbeat comes (it was stopped, or all of it
+hangs), or when they go on about the same thing for longer than that may take (its work hangs), the guard connects to
+each instrument anew, through that instrument's own driver, and makes it safe. What it did before the pipe closed is
+done once more, and only that counts. A program that has left the bench at rest itself says so, and the guard ends
+without a word to the instruments.
 
 On the pipe, one line each, from the program to the guard::
 
@@ -22,6 +24,7 @@ could not confirm that; 3 it could not be armed.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import importlib.metadata
 import json
@@ -44,6 +47,7 @@ from typing import Any, Self
 from rig.archive.guard_log import GuardLog
 from rig.bench.armed import Armed
 from rig.bench.clock import SystemClock
+from rig.bench.lifeline import Lifeline
 from rig.bench.possession import Holder
 from rig.bench.stopping import uninterrupted
 from rig.errors import NotSafe, RigError, WorkFailed
@@ -57,6 +61,8 @@ _TRY_FOR = 10.0  # s until the guard gives up
 _ATTEMPT = 3.0  # s that one attempt at one instrument may take
 _PAUSE = 0.02  # s between rounds of attempts
 _ARM = 5.0  # s that arming, and disarming, may take
+_GONE = 5.0  # s from the death of one thread to that of all
+DYING = "the program is dying"
 _DISARMED, _MADE_SAFE, _NOT_SAFE, _NOT_ARMED = range(4)  # exit codes
 
 
@@ -81,8 +87,8 @@ class Guard:
     ...     guard.disarm()                                     # the bench is at rest
     """
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
-        self._process = process
+    def __init__(self, process: subprocess.Popen[bytes], lifeline: Lifeline | None = None) -> None:
+        self._process, self._lifeline = process, lifeline
         self._instruments: list[str] = []  # that are armed, or were
         self._confirmed = False  # the program itself has read back that they are off
         self._armed: Armed | None = None
@@ -97,19 +103,25 @@ class Guard:
 
         Raises WorkFailed if it cannot be started.
         """
+        lifeline = Lifeline.new()
+        held = [] if lifeline is None else [lifeline.descriptor]
         try:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.bench.guard"],  # -P: nothing of the working folder is imported
+                # -P: nothing of the working folder is imported
+                [sys.executable, "-P", "-m", "rig.bench.guard", *map(str, held)],
                 bufsize=0,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                pass_fds=holding,
+                pass_fds=[*holding, *held],
                 start_new_session=True,  # Ctrl-C at the terminal must not reach it
             )
         except OSError as error:
             raise WorkFailed(f"guard: cannot be started: {error}") from error
-        return cls(process)
+        finally:
+            if lifeline is not None:
+                lifeline.close()
+        return cls(process, lifeline)
 
     @property
     def pid(self) -> int:
@@ -125,6 +137,8 @@ class Guard:
         """
         order = {"instruments": [asdict(charge) for charge in instruments], "log": str(log)}
         self._armed = armed
+        if self._lifeline is not None:
+            self._lifeline.hold()  # this thread, whose work it is
         self._send(json.dumps(order | {"armed": armed and armed.as_json()}))
         answer = self._answer(time.monotonic() + _ARM)
         if answer != "armed":
@@ -219,6 +233,8 @@ class Guard:
             self._over.wait(_BEAT)
 
     def _stop_beating(self) -> None:
+        if self._lifeline is not None:
+            self._lifeline.let_go()
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(timeout=_BEAT)
@@ -263,17 +279,29 @@ class Duty:
         driver.close()
 
 
+class Dying(Exception):
+    """A thread of the program has died; others may still be about to."""
+
+
 class Pipe:
     """Lines from a file descriptor, with a time by which each must have come."""
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor, self._received = descriptor, b""
+    def __init__(self, descriptor: int, lifeline: Lifeline | None = None) -> None:
+        self._descriptor, self._received, self._lifeline = descriptor, b"", lifeline
+        self._broken: int | None = None
 
     def line(self, until: float | None = None) -> str:
-        """The next line. Raises TimeoutError when the monotonic clock passes `until`, EOFError when the pipe closes."""
+        """The next line. Raises TimeoutError when the monotonic clock passes `until`, EOFError when the pipe closes.
+
+        Once the lifeline is watched, Dying when it breaks.
+        """
+        watched = [self._descriptor] if self._broken is None else [self._descriptor, self._broken]
         while b"\n" not in self._received:
             left = None if until is None else max(until - time.monotonic(), 0.0)
-            if not select.select([self._descriptor], [], [], left)[0]:
+            ready = select.select(watched, [], [], left)[0]
+            if self._broken in ready:
+                raise Dying
+            if not ready:
                 raise TimeoutError
             part = os.read(self._descriptor, 1 << 16)
             if not part:
@@ -281,6 +309,27 @@ class Pipe:
             self._received += part
         line, self._received = self._received.split(b"\n", 1)
         return line.decode("utf-8", "replace")
+
+    def watch_lifeline(self) -> None:
+        """From now on: the program holds it."""
+        if self._lifeline is not None and self._broken is None:
+            self._broken, told = os.pipe()
+            threading.Thread(target=self._tell, args=(self._lifeline, told), daemon=True).start()
+
+    def closed(self, until: float) -> bool:
+        """Wait until it has closed, whatever comes before; False if that takes longer."""
+        self._broken = None
+        try:
+            while True:
+                self.line(until)
+        except EOFError:
+            return True
+        except TimeoutError:
+            return False
+
+    def _tell(self, lifeline: Lifeline, told: int) -> None:
+        if lifeline.broken():
+            os.write(told, b"x")
 
 
 class _Nobody:
@@ -338,7 +387,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     _warm_up()
-    pipe = Pipe(sys.stdin.fileno())
+    pipe = Pipe(sys.stdin.fileno(), Lifeline(int(sys.argv[1])) if sys.argv[1:] else None)
     try:
         orders = Orders.of(pipe.line())
     except EOFError:
@@ -351,6 +400,7 @@ def main() -> int:
 
 def _stand_guard(pipe: Pipe, orders: Orders) -> int:
     log = orders.log
+    pipe.watch_lifeline()
     standby = Standby(orders.duties, log)
     log.write("armed", instruments=[duty.name for duty in orders.duties], pid=os.getpid())
     _say("armed")
@@ -362,7 +412,11 @@ def _stand_guard(pipe: Pipe, orders: Orders) -> int:
         return _DISARMED
     standby.go()
     log.write("acting", because=because)
-    left = _make_safe(standby, log)
+    not_yet = standby.left()
+    if because == DYING:  # what its other threads had begun to send has gone out when the pipe has closed
+        log.write("gone" if pipe.closed(time.monotonic() + _GONE) else "not gone")
+        not_yet = list(orders.duties)
+    left = _make_safe(not_yet, log)
     if left:
         if orders.armed is not None:
             with contextlib.suppress(OSError):  # what was written before says enough
@@ -377,8 +431,11 @@ def _stand_guard(pipe: Pipe, orders: Orders) -> int:
 def _warm_up() -> None:
     """Load beforehand what the first link loads, and go before others, so that acting takes milliseconds."""
     _rehearse()
+    gc.freeze()  # nothing of it is looked through again, which would copy all of it in every attempt
     with contextlib.suppress(OSError):  # where the system lets us
         os.setpriority(os.PRIO_PROCESS, 0, -10)
+    with contextlib.suppress(OSError, AttributeError):  # it sleeps, but for milliseconds that matter
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
 def _rehearse() -> None:
@@ -404,6 +461,8 @@ def _watch(pipe: Pipe) -> str | None:
     while True:
         try:
             line = pipe.line(until)
+        except Dying:
+            return DYING
         except EOFError:
             return "the program has gone"
         except TimeoutError:
@@ -421,10 +480,10 @@ def _watch(pipe: Pipe) -> str | None:
         until = min(due, time.monotonic() + SILENCE)
 
 
-def _make_safe(standby: Standby, log: GuardLog) -> list[str]:
-    """After what has begun, round after round over what is not safe yet, until all is or time is up; what is left."""
+def _make_safe(duties: Sequence[Duty], log: GuardLog) -> list[str]:
+    """Round after round over what is not safe yet, until all is or time is up; what is left."""
     until = time.monotonic() + _TRY_FOR
-    left = standby.left()
+    left = list(duties)
     while left and time.monotonic() < until:
         time.sleep(_PAUSE)
         left = [duty for duty in left if not _ended_well(duty, _attempt(duty.act, log), time.monotonic(), log)]
@@ -470,6 +529,7 @@ class Standby:
 
     def _wait(self, read: int, duty: Duty) -> None:
         self._close()  # of our own copies, or the end of the guard would not be seen
+        gc.disable()
         _rehearse()
         if os.read(read, 2):
             duty.act(self._log)

@@ -137,9 +137,18 @@ def test_the_source_is_off_within_a_tenth_of_a_second_after_the_program_is_kille
         killed = time.monotonic()
         program.send_signal(number)
         assert instrument.answer() - killed < 0.1
+        while "done" not in named(tmp_path / "guard.jsonl"):  # once more if it was only dying
+            instrument.answered_if_asked()
         program.stdin.close()
         program.wait()
-    assert named(tmp_path / "guard.jsonl")[:2] == ["armed", "acting"]
+    found = events(tmp_path / "guard.jsonl")
+    assert [one["event"] for one in found][:2] == ["armed", "acting"]
+    first, last = ([one["event"] for one in found].index(what) for what in ("acting", "done"))
+    safe = [n for n, one in enumerate(found) if one["event"] == "made safe"]
+    gone = [n for n, one in enumerate(found) if one["event"] == "gone"]
+    assert len(gone) == (found[first]["because"] == "the program is dying")
+    assert first < safe[0] <= safe[-1] < last
+    assert not gone or gone[0] < safe[-1]
 
 
 def test_work_that_does_not_get_on_makes_the_guard_act_and_the_program_is_told(

@@ -16,15 +16,15 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from rig.calibrate.calibration import MISSING
 from rig.cli import cli
 from rig.errors import BadInput
 
 COEFFICIENT = 1e-3
 SWEEP = {"procedure": "frequency_sweep", "axis": "x", "start": "20 Hz", "stop": "400 Hz", "points": 10,
          "levels": ["full", "quarter"]}  # fmt: skip
-WORLD = fast_bench.world(
-    3, [{"name": "quadratic", "parameters": {"quantity": "acceleration", "coefficient": COEFFICIENT}}]
-)
+HIDDEN = [{"name": "quadratic", "parameters": {"quantity": "acceleration", "coefficient": COEFFICIENT}}]
+WORLD = fast_bench.world(3, HIDDEN)
 
 
 def said(runs: Path, *words: str) -> str:
@@ -107,6 +107,20 @@ def test_the_next_commands_carry_the_model(runs: Path) -> None:
     lines = [line for line in text.splitlines() if line.startswith("next: ")]
     assert all(("--model" in line) == ("export" not in line) for line in lines)
     assert len(lines) == 3
+
+
+def test_where_an_effect_is_missing_it_is_said_once_of_all_values_and_the_way_to_its_name_comes_first(
+    tmp_path: Path,
+) -> None:
+    fast_bench.keep(SWEEP, fast_bench.world(3, HIDDEN), tmp_path)
+    lines = said(tmp_path, "calibrate", "last").splitlines()
+    said_of = dict(line.split(": ", 2)[:0:-1] for line in lines if line.startswith("  flagged: "))
+    assert len(said_of) == sum(line.startswith("  flagged: ") for line in lines)
+    assert [keys for remark, keys in said_of.items() if MISSING in remark and "unit_a_x.sensitivity, " in keys]
+    assert next(line for line in lines if line.startswith("next: ")).startswith("next: rig diagnose last")
+    assert not [
+        line for line in said(tmp_path, "calibrate", "last", "--model", "none").splitlines() if "diagnose" in line
+    ]
 
 
 def test_another_unit_s_model_is_refused(runs: Path, tmp_path: Path) -> None:

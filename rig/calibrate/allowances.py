@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from rig.calibrate.budget import Contribution, half_width
-from rig.calibrate.calibration import Status
+from rig.calibrate.calibration import MISSING, Status
 
 UNLIKELY = 1e-4  # probability of a misfit below which the model is called in question
 
@@ -36,7 +36,7 @@ def misfit(chi2: float, dof: int, what: str, noise_dof: float = math.inf) -> Mis
     factor = math.sqrt(chi2 / dof)
     return Misfit(
         factor,
-        (f"{what} by {factor:.1f} times their noise: an effect is missing; u of the noise is widened by that factor",),
+        (f"{what} by {factor:.1f} times their noise: {MISSING}; u of the noise is widened by that factor",),
     )
 
 

@@ -25,6 +25,8 @@ FORMAT = 1
 PROBABILITY = 0.95
 SIGN_REVERSED = "sign reversed"  # the first words of why a verdict is `fail`, where it is not the size
 
+MISSING = "an effect is missing"  # in the remark on a value whose model leaves more than noise
+
 Status = Literal["determined", "flagged", "not determined"]
 Verdict = Literal["pass", "fail", "inconclusive"]
 

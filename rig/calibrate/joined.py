@@ -15,7 +15,7 @@ import numpy as np
 from rig.calibrate import agreement
 from rig.calibrate.agreement import DirectEstimate
 from rig.calibrate.budget import Budget, Contribution
-from rig.calibrate.calibration import Result
+from rig.calibrate.calibration import MISSING, Result
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, Pull
 from rig.fit import adequacy
 from rig.fit.parameters import covariance_of, estimates
@@ -49,7 +49,7 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
             f"the direct estimate lies {abs(check.delta) / check.u_delta:.1f} standard uncertainties of the difference "
             "away, wanted 2 at most"
         )
-    kept = [one for one in result.remarks if "an effect is missing" not in one]  # that was the direct estimator's
+    kept = [one for one in result.remarks if MISSING not in one]  # that was the direct estimator's
     return replace(
         result, value=estimate.value, budget=Budget(lines), check=check, remarks=(*said, *kept),
         method=f"model fitted to all records of the {experiment.name} ({assumed.words}); beside it: {result.method}",
@@ -96,7 +96,7 @@ def inadequate(experiment: Experiment, factor: float) -> str:
     widened = f"; u of the noise is widened by {factor:.2g}" if factor > 1.0 else ""
     return (
         f"the model leaves more than noise on the {experiment.name} ({one.channel}, {one.domain}: {one.ratio:.2g} "
-        f"times): an effect is missing{widened}"
+        f"times): {MISSING}{widened}"
     )
 
 

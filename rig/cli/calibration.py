@@ -82,7 +82,7 @@ def calibrate(
     the same records (`value`, `u`, `delta`, `u_delta`, `agrees`), `null` without one. With `--monte-carlo` there is
     `monte_carlo`, a list of `key`, `low`, `high`, `budget_low`, `budget_high`, `agrees`.
     """
-    from rig.calibrate.calibration import path_of, save
+    from rig.calibrate.calibration import MISSING, path_of, save
 
     made, _ = _calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
@@ -94,7 +94,9 @@ def calibrate(
     else:
         click.echo("\n".join([*text_of(made), *(_interval_text(one) for one in intervals)]))
         click.echo(f"calibration: {path}")
-        say_next(command("certify", *names), command("report", *names), _exporting(made))
+        lacking = any(MISSING in remark for result in made.results for remark in result.remarks)
+        asked = [command("diagnose", *names)] if lacking and model != NO_MODEL else []
+        say_next(*asked, command("certify", *names), command("report", *names), _exporting(made))
     _refuse_failed(made)
 
 
@@ -469,9 +471,18 @@ def text_of(made: Calibration) -> list[str]:
     missing = [r for r in made.results if not r.determined]
     lines += ["", f"  U with k for 95 %; {others} more values and {len(missing)} not determined are in the file"]
     lines += [f"  {made.agreement}"] if made.agreement else []
-    lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
+    lines += flagged_lines(made)
     lines += [f"  note: {flag}" for flag in made.flags]
     return [completed(line) for line in lines]
+
+
+def flagged_lines(made: Calibration) -> list[str]:
+    """What there is to say against flagged results, each with all those that it is said of."""
+    said: dict[str, list[str]] = {}
+    for result in made.results:
+        for remark in result.remarks if result.status == "flagged" else ():
+            said.setdefault(remark, []).append(result.key)
+    return [f"  flagged: {', '.join(keys)}: {remark}" for remark, keys in said.items()]
 
 
 def _beside(result: Result) -> str:

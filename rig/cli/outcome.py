@@ -150,6 +150,7 @@ def _imported_lines(records: Records) -> list[str]:
 
 def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str]:
     from rig.calibrate.calibration import text
+    from rig.cli.calibration import flagged_lines
 
     run, summary = records.run, records.run.summary()
     mark = "  SIMULATED" if summary["simulated"] else ""
@@ -166,7 +167,7 @@ def _run_lines(records: Records, made: Calibration | None, why: str) -> list[str
         width = max(len(r.channel) for r in rows)
         lines += ["", *(f"  {r.channel:<{width}}  {text(r):<26} {r.title}; {r.reference}" for r in rows)]
         lines += ["  (expanded uncertainty for 95 %, from this run alone)"]
-    lines += [f"  flagged: {r.key}: {'; '.join(r.remarks)}" for r in made.results if r.status == "flagged"]
+    lines += flagged_lines(made)
     return [completed(line) for line in (*lines, *(f"  note: {flag}" for flag in made.flags))]
 
 

@@ -35,8 +35,8 @@ NAMES = "names.json"  # of the ZIP file, in the order of the arrays
 V7_3 = "found MAT version 7.3, which is HDF5, wanted `reading: {format: hdf5}`, with columns such as `gyro[2,:]`"
 Found = Iterator[tuple[str, NDArray[Any]]]
 FAULTS = (
-    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RuntimeError,
-    SyntaxError, TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, NameError, NotImplementedError, OSError,
+    RuntimeError, SyntaxError, TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """What readers raise for damaged files."""
 
@@ -115,11 +115,14 @@ def _fields(name: str, array: NDArray[Any]) -> Found:
 
 def _mat(raw: bytes) -> Found:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
     try:
         found = loadmat(cast(Any, io.BytesIO(raw)), simplify_cells=True)  # its stubs know paths only
     except NotImplementedError:
         raise BadInput(V7_3) from None
+    except MatReadError as error:
+        raise BadInput(f"found no {TITLES['mat'].removeprefix('a ')} ({error})") from None
     yield from _nested("", {name: value for name, value in found.items() if not name.startswith("__")})
 
 

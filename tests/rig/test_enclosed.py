@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,3 +70,42 @@ def test_version_7_3_is_named() -> None:
     raw = b"MATLAB 7.3 MAT-file".ljust(124) + (b"\0\2IM" if sys.byteorder == "little" else b"\2\0MI") + bytes(512)
     with pytest.raises(BadInput, match="HDF5"):
         list(arrays(raw))
+
+
+@pytest.mark.parametrize(("form", "save"), [("npy", np.save), ("npz", np.savez)])
+def test_other_formats_are_read_there_too_and_cut_ones_refused(form: str, save: Callable[..., None]) -> None:
+    file = io.BytesIO()
+    save(file, WHOLE["t"])
+    ((_, array),) = enclosed.arrays(file.getvalue(), form)
+    assert array.tobytes() == WHOLE["t"].tobytes()
+    with pytest.raises(BadInput, match=f"found no {form.upper()} file of plain numbers"):
+        list(enclosed.arrays(file.getvalue()[:90], form))
+
+
+def ended(work: Callable[[], object]) -> int:
+    """Exit code of a copy of this process that does this once it is confined."""
+    child = os.fork()
+    if child == 0:
+        try:
+            enclosed.confine(0)
+            work()
+        except MemoryError:
+            os._exit(7)
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def test_who_asks_for_more_memory_than_a_sound_file_needs_does_not_get_it() -> None:
+    assert ended(lambda: bytearray(enclosed.MEMORY // 2)) == 0
+    assert ended(lambda: bytearray(enclosed.MEMORY * 2)) == 7
+
+
+def test_who_is_busy_for_longer_than_a_sound_file_needs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(enclosed, "SECONDS", 1.0)
+
+    def for_ever() -> None:
+        while True:
+            pass
+
+    assert ended(for_ever) == -signal.SIGXCPU

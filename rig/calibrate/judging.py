@@ -3,12 +3,13 @@
 A sign is a declared property: what answers with the other one fails, however well its size fits. A wire that shows
 nothing of the motion, or of another axis as much as of its own, is no sensor with a small sensitivity or a large
 cross-coupling but another sensor, or the cube stands another way. Where several units fail by one factor it is not
-they that have changed.
+they that have changed. What else is said of a channel that may be another is flagged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from rig.calibrate.calibration import SIGN_REVERSED, Result, rejected, text
@@ -19,6 +20,8 @@ from rig.sensor import Sensor
 COUPLING = ("cross_axis_", "cross_coupling_")
 MOST_COUPLING = 0.5  # of what a channel shows along its own axis; real ones are below a tenth
 FAINT = 0.2  # of the declared sensitivity
+OTHER = 2.0  # times the declared sensitivity, or less than its part: another sensor rather than one that has changed
+NOISY = 1.5  # times the noise of its data sheet, the same, where no motion shows which sensor it is
 ALIKE = 0.05  # relative: how far factors differ that are one and the same, with units within their own tolerances
 SENSITIVITIES = ("sensitivity", "sensitivity_analyzer", "sensitivity_gravity", "sensitivity_centripetal")
 
@@ -54,7 +57,40 @@ def believed(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
     """The results judged against the sensor file; those that cannot be what they are called without their value."""
     rows = [_judged_by(result, sensor) for result in results]
     suspected = {key: why for group in _groups(rows, sensor) for key, why in _common(group, sensor).items()}
-    return (refused(row, suspected[row.key]) if row.key in suspected else row for row in rows)
+    rows = [refused(row, suspected[row.key]) if row.key in suspected else row for row in rows]
+    doubted = dict([*_noisy(rows, sensor), *_others(rows, sensor)])
+    return (_doubtful(row, doubted[row.channel]) if row.channel in doubted else row for row in rows)
+
+
+def _others(rows: Iterable[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Channels whose sensitivity says that they are others, and how."""
+    for row in rows:
+        if row.measurand not in SENSITIVITIES or row.channel not in sensor:
+            continue
+        times = (row.value or 0.0) / sensor.channel(row.channel).nominal
+        if row.rejected:
+            yield row.channel, f"{row.measurand} cannot be believed"
+        elif row.verdict == "fail" and times > 0.0 and not 1.0 / OTHER < times < OTHER:
+            yield row.channel, f"{row.measurand} is {times:.3g} times the declared one"
+
+
+def _noisy(rows: Sequence[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Channels that no motion shows to be what they are called, with the noise of another."""
+    shown = {row.channel for row in rows if row.measurand in SENSITIVITIES and row.determined}
+    for row in rows:
+        if row.measurand != "noise_density" or row.value is None or row.channel in shown or row.channel not in sensor:
+            continue
+        sheet = sensor.channel(row.channel).noise
+        times = 1.0 if sheet is None else math.sqrt(2.0) * row.value / sheet.density
+        u = row.expanded / row.value * times
+        if not 1.0 / NOISY - u < times < NOISY + u:
+            yield row.channel, f"its noise is {times:.3g} times that of its data sheet"
+
+
+def _doubtful(row: Result, why: str) -> Result:
+    if not row.determined or row.status != "determined":
+        return row
+    return replace(row, status="flagged", remarks=(*row.remarks, f"may be another channel: {why}"))
 
 
 def refused(result: Result, why: str) -> Result:

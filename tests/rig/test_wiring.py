@@ -86,6 +86,24 @@ def test_any_gain_follows_and_a_wire_without_gravity_does_not() -> None:
     assert off[:, 1].tolist() == [False, False, True, True, False, False]
 
 
+@pytest.mark.parametrize(
+    ("procedure", "swapped", "why"),
+    [
+        (TUMBLE, ("unit_b_y", "unit_c_y"), "sensitivity_gravity "),
+        (NOISE, ("unit_c_x", "gyro_pitch"), "times that of its data sheet"),
+    ],
+)
+def test_all_that_is_said_of_a_channel_that_may_be_another_is_flagged(
+    procedure: Mapping[str, Any], swapped: tuple[str, str], why: str
+) -> None:
+    made = concluded(procedure, Wrong(swapped=swapped))
+    theirs = [row for row in made.results if row.channel in swapped and row.determined]
+    assert {row.channel for row in theirs} == set(swapped)
+    assert all(row.status == "flagged" and why in row.remarks[-1] for row in theirs)
+    others = [row for row in made.results if row.channel not in swapped]
+    assert not any("may be another" in remark for row in others for remark in row.remarks)
+
+
 @pytest.mark.parametrize("case", MOUNTS)
 def test_a_mounting_or_a_reference_that_is_another_gives_no_number(case: str) -> None:
     procedure, wrong, keys, why = MOUNTS[case]

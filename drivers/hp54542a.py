@@ -38,6 +38,7 @@ SHORTEST, LONGEST = 5e-9, 50.0  # s, ten divisions
 EVENT_SUMMARY = 32  # status byte, bit 5
 POLL = 0.02  # s on the bench's clock
 ERRORS_AT_MOST = 35  # the queue holds 30
+SAME_STEPS = 0.01  # relative, of what share of its range a step is
 
 PLAIN = ":SYST:HEADER OFF;:SYST:LONGFORM OFF;:EOI ON;:WAV:FORM WORD"
 RECORD = ":TIM:MODE {mode};SAMPLE REAL;RANGE {duration:.6g};REF LEFT;DEL 0;RANGE?"
@@ -229,9 +230,18 @@ class HP54542A:
             for one, _ in read
         ):
             raise self._error(BadReply, "the same sample instants in all channels", PREAMBLE.format(channel=4), None)
+        self._refuse_other_steps([one.y_increment for one, _ in read])
         volts = np.vstack([one for _, one in read])
         counts = tuple(clipped(one, window) for one, window in zip(volts, self._windows, strict=True))
         return Traces(self._names, volts, start=first.start, interval=first.x_increment, clipped=counts)
+
+    def _refuse_other_steps(self, increments: Sequence[float]) -> None:
+        """How many steps a range has is not documented, but all channels have the same converter."""
+        shares = [step / window.full for step, window in zip(increments, self._windows, strict=True)]
+        for channel, share in zip(CHANNELS, shares, strict=True):
+            if abs(share / sorted(shares)[1] - 1.0) > SAME_STEPS:
+                wanted = f"steps of the same share of the range as in other channels, found {share:.4g} of it"
+                raise self._error(BadReply, wanted, PREAMBLE.format(channel=channel), None)
 
     def errors(self) -> list[str]:
         """Error numbers in the queue, oldest first; the queue is empty afterwards. Raises BadReply."""

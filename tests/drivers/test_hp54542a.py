@@ -226,6 +226,22 @@ def test_a_record_with_holes_is_refused(gpib, ready, monkeypatch) -> None:
         ready.capture()
 
 
+def test_a_channel_with_steps_of_another_size_than_the_others_is_refused(gpib, ready, monkeypatch) -> None:
+    twin = gpib.twins["hp54542a"]
+    found = twin._preamble
+
+    def with_larger_steps():
+        fields = found().split(",")
+        if twin.values["WAV:SOUR"] == 2:
+            fields[7] = f"{1.03 * float(fields[7]):.6E}"
+        return ",".join(fields)
+
+    ready.capture()
+    monkeypatch.setattr(twin, "_preamble", with_larger_steps)
+    with pytest.raises(BadReply, match="CHAN2;PRE.* the same share of the range"):
+        ready.capture()
+
+
 def test_a_reply_with_its_header_still_on_is_a_bad_reply(gpib, ready) -> None:
     gpib.do(lambda: gpib.twins["hp54542a"].listen(b":SYST:HEADER ON"))
     with pytest.raises(BadReply, match="2 numbers"):

@@ -27,9 +27,9 @@ LOW, STEP = -10.0, 20.0 / 65535.0  # V
 class Wrong:
     """`swapped` names two channels; `inverted` sensors have the other sign about their zero; `stuck` at volts; `cut`
     off above or below (V); `spikes`: how many samples of a record stand out, and by how many volts; `gain` of a
-    channel about its zero; `told` what the operator makes of a request. `copied` channels see the wire of another;
-    `hanging` bits of a channel's code always read one; a `loose` channel is at 0 V for that share of every second;
-    `drive` is how much of the set level the source gives.
+    channel about its zero; `told` what the operator makes of a request. `copied` channels see the wire of
+    another, noise and all; `hanging` bits of a channel's code always read one; a `loose` channel is at 0 V for that
+    share of every second; `drive` is how much of the set level the source gives.
     """
 
     swapped: tuple[str, str] | tuple[()] = ()
@@ -55,9 +55,13 @@ class WrongWorld(World):
     def volts(self, names: Sequence[str], times: Sequence[Array]) -> list[Array]:
         one, other = self._wrong.swapped or ("", "")
         wired = [self._wrong.copied.get(name, {one: other, other: one}.get(name, name)) for name in names]
+        found = super().volts(wired, times)
+        for place, signal in enumerate(wired):
+            if len(found[first := wired.index(signal)]) == len(found[place]):
+                found[place] = found[first]  # one wire has one noise
         return [
             self._spoilt(name, signal, volts, when)
-            for name, signal, volts, when in zip(names, wired, super().volts(wired, times), times, strict=True)
+            for name, signal, volts, when in zip(names, wired, found, times, strict=True)
         ]
 
     def perform(self, action: str, settings: Mapping[str, Any], text: str) -> str:

@@ -29,6 +29,8 @@ NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise
 ASKED = ("sensitivity", "sensitivity_gravity", "deviation")
 PLAUSIBLE = {"supply": (1.0, 30.0, "V"), "temperature": (-40.0, 85.0, "°C")}  # of a bench with parts that work
 LONG = 1 << 17  # scans looked at together: 4 MB of sixteen channels
+ONE_WIRE = 0.5  # correlation of steps, of which slots of a scan 60 µs apart leave 0.7; of separate ones none
+ENOUGH = 1000  # steps: by chance their correlation is below 0.2
 FEW = 3  # records that a remark names
 
 
@@ -41,6 +43,8 @@ class Found:
     channel: str
     faults: Faults
     at_rest: bool
+    like: tuple[str, ...] = ()
+    """Channels that show the very same noise: there is one wire, or the multiplexer does not step."""
 
     @property
     def lost(self) -> bool:
@@ -48,7 +52,7 @@ class Found:
 
     @property
     def words(self) -> str:
-        return ", ".join(self.faults)
+        return ", ".join([*self.faults, *(f"the same noise as {one}" for one in self.like)])
 
 
 @dataclass(frozen=True)
@@ -150,15 +154,31 @@ def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
         if entry.kind not in ("point", "step") or "samples" not in body:
             continue
         pieces: dict[str, list[Faults]] = {}
+        alike: list[dict[str, set[str]]] = []
         for names, counts in _stretches(run.pieces(str(body["samples"]))):
             for column, name in enumerate(names):
                 if name in watched:
                     pieces.setdefault(name, []).append(faults(counts[:, column]))
+            alike.append(_alike([name for name in names if name in sensor], names, counts))
         label = str(body.get("label", body["samples"]))
         at_rest = "frequency" not in body and "phase" not in body
         for name, several in pieces.items():
-            if list(whole := together(several)):
-                yield Found(run.name, label, name, whole, at_rest)
+            like = set.intersection(*(one.get(name, set()) for one in alike)) if at_rest else set()
+            if list(whole := together(several)) or like:
+                yield Found(run.name, label, name, whole, at_rest, tuple(sorted(like)))
+
+
+def _alike(wanted: Sequence[str], names: Sequence[str], counts: NDArray[np.uint16]) -> dict[str, set[str]]:
+    """Of each channel, those whose noise is its own: steps from sample to sample, in which a floor hardly shakes."""
+    steps = np.diff(counts[:, [names.index(name) for name in wanted]].astype(np.float64), axis=0)
+    moving = [n for n in range(len(wanted)) if len(steps) >= ENOUGH and steps[:, n].any()]
+    if len(moving) < 2:
+        return {}
+    together = np.abs(np.corrcoef(steps[:, moving].T)) > ONE_WIRE
+    return {
+        wanted[n]: {wanted[m] for m, same in zip(moving, row, strict=True) if same and m != n}
+        for n, row in zip(moving, together, strict=True)
+    }
 
 
 def _stretches(pieces: Iterable[Samples]) -> Iterator[tuple[list[str], NDArray[np.uint16]]]:

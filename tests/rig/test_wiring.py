@@ -104,6 +104,15 @@ def test_all_that_is_said_of_a_channel_that_may_be_another_is_flagged(
     assert not any("may be another" in remark for row in others for remark in row.remarks)
 
 
+def test_channels_on_one_wire_are_told_by_their_noise() -> None:
+    made = concluded(TUMBLE, Wrong(copied={"unit_b_x": "unit_a_x"}))
+    for name, other in (("unit_a_x", "unit_b_x"), ("unit_b_x", "unit_a_x")):
+        row = made.result(f"{name}.sensitivity_gravity")
+        assert row.status == "flagged"
+        assert f"the same noise as {other}" in text(row) + row.remarks[-1]
+    assert made.result("unit_c_x.sensitivity_gravity").status == "determined"
+
+
 @pytest.mark.parametrize("case", MOUNTS)
 def test_a_mounting_or_a_reference_that_is_another_gives_no_number(case: str) -> None:
     procedure, wrong, keys, why = MOUNTS[case]

@@ -25,6 +25,7 @@ TEXT: Mapping[str, Spoilt] = {
     "flipped bit": Spoilt("flipped", bit=1), "disconnect": Spoilt("disconnect"), "hung": Spoilt("hung"),
 }  # fmt: skip
 """Of an answer to a question, whatever the language."""
+FIRST = tuple(one for one in TEXT if one not in ("previous answer", "one answer behind"))  # of the first answer of all
 SOME = ("silence", "truncated", "garbage", "previous answer", "NaN", "flipped bit", "disconnect", "hung")
 FEW = ("truncated", "previous answer", "flipped bit", "disconnect")
 
@@ -58,34 +59,80 @@ class Answers:
 
 
 SERIAL = ("silence", "late", "truncated", "garbage", "disconnect", "hung")
-CONTROL = (("identity", "IDN"), ("rate", "CONF:RATE"), ("range", "CONF:RANG"), ("read-back", r"CONF\?"))
+CONTROL = (("rate", "CONF:RATE"), ("range", "CONF:RANG"), ("read-back", r"CONF\?"))
 ANSWERS: Sequence[Answers] = (
-    Answers("sweep", "vibrometer, identity", "ldv", "REM"),
+    Answers("sweep", "vibrometer, identity", "ldv", "REM", which=FIRST),
     Answers("sweep", "vibrometer, range", "ldv", r"^VELO\?", 2),
     Answers("sweep", "vibrometer, level", "ldv", "LEV", 1),
     Answers("sweep", "vibrometer, over-range", "ldv", "OVR", which=SOME),
-    Answers("sweep", "analyzer, identity", "gpib", r"^19:\*IDN"),
+    Answers("sweep", "analyzer, identity", "gpib", r"^19:\*IDN", which=FIRST),
     Answers("sweep", "analyzer, status byte", "gpib", "^19:spoll", 3),
-    Answers("sweep", "analyzer, input range", "gpib", r"^19:VOLT\d:RANG"),
+    Answers("sweep", "analyzer, input range", "gpib", r"^19:VOLT\d:RANG", 8),
     Answers("sweep", "analyzer, sine", "gpib", "^19:SOUR:VOLT:UNIT", 3),
     Answers("sweep", "analyzer, output", "gpib", "^19:OUTP", which=SOME),
     Answers("sweep", "analyzer, spectrum of the filter", "gpib", "^19:CALC1:DATA", which=SOME),
     Answers("sweep", "analyzer, spectrum", "gpib", "^19:CALC1:DATA", 3),
-    Answers("sweep", "oscilloscope, identity", "gpib", r"^7:\*IDN", which=SOME),
-    Answers("sweep by the oscilloscope", "oscilloscope, time base", "gpib", "^7::TIM"),
-    Answers("sweep by the oscilloscope", "oscilloscope, range", "gpib", "^7::CHAN2:PROBE"),
+    Answers("sweep", "oscilloscope, identity", "gpib", r"^7:\*IDN", which=SERIAL),
+    Answers("sweep by the oscilloscope", "oscilloscope, time base", "gpib", "^7::TIM", 1),
+    Answers("sweep by the oscilloscope", "oscilloscope, range", "gpib", "^7::CHAN2:PROBE", 1),
     Answers("sweep by the oscilloscope", "oscilloscope, preamble", "gpib", "^7:.*PRE"),
     Answers("sweep by the oscilloscope", "oscilloscope, trace", "gpib", "^7::WAV:DATA"),
-    *(Answers("sweep", f"converter, {name}", "daq", asked) for name, asked in CONTROL),
+    Answers("sweep", "converter, identity", "daq", "IDN", which=FIRST),
+    *(Answers("sweep", f"converter, {name}", "daq", asked, 1) for name, asked in CONTROL),
     Answers("sweep", "converter, start", "daq", "INIT", which=SOME),
-    *(Answers(p, f"converter, {name}", "daq", asked, which=FEW) for p in CONVERTER[1:] for name, asked in CONTROL[1:]),
+    *(Answers(p, f"converter, {name}", "daq", asked, 1, FEW) for p in CONVERTER[1:] for name, asked in CONTROL),
     Answers("turntable", "converter, stop", "daq", "ABOR", which=SOME),
 )  # fmt: skip
 
 ANALYZER, SCOPE = b"HEWLETT-PACKARD,35670A,3046A00132,A.00.01\n", b"HEWLETT-PACKARD,54520A,0,01.00\n"
 BOARD = b"OK Measurement Computing,PC104-DAS16JR/12,1,1.0\n"
+NUMBERS: Sequence[tuple[str, str, str, str, str, float, int]] = (  # procedure … asked, times, which number
+    ("sweep", "analyzer, input range", "told 1.5 times", "gpib", r"^19:VOLT\d:RANG", 1.5, 0),
+    ("sweep", "analyzer, sine", "frequency told 1 % higher", "gpib", "^19:SOUR:VOLT:UNIT", 1.01, 0),
+    ("sweep", "analyzer, sine", "level told half", "gpib", "^19:SOUR:VOLT:UNIT", 0.5, 1),
+    (
+        "sweep by the oscilloscope",
+        "oscilloscope, preamble",
+        "1.1 times the volts in one channel",
+        "gpib",
+        "CHAN2;PRE",
+        1.1,
+        7,
+    ),
+    (
+        "sweep by the oscilloscope",
+        "oscilloscope, preamble",
+        "1.03 times the volts in one channel",
+        "gpib",
+        "CHAN2;PRE",
+        1.03,
+        7,
+    ),
+    (
+        "sweep by the oscilloscope",
+        "oscilloscope, preamble",
+        "twice the volts of the reference",
+        "gpib",
+        "CHAN1;PRE",
+        2.0,
+        7,
+    ),
+    ("sweep by the oscilloscope", "oscilloscope, preamble", "1.03 times the time", "gpib", r"^7:.*PRE", 1.03, 4),
+    ("sweep by the oscilloscope", "oscilloscope, preamble", "twice the time", "gpib", r"^7:.*PRE", 2.0, 4),
+    ("sweep by the oscilloscope", "oscilloscope, range", "told twice", "gpib", "^7::CHAN2:PROBE", 2.0, 0),
+    *((p, "converter, rate", "told 1 % slower", "daq", "CONF:RATE", 1.01, 0) for p in CONVERTER),
+    *(
+        (p, "converter, rate", "told 1 % slower and read back so", "daq", r"CONF:RATE|CONF\?", 1.01, -1)
+        for p in CONVERTER
+    ),
+)
 INDEX = 8 * 200 + 1  # in a spectrum: the byte below the sign and most of the exponent, at 500 Hz
 OTHERS: Sequence[Cell] = (
+    *(Cell(p, instrument, fault, line, Spoilt("number", asked, size=times, place=which, lasting=True))
+      for p, instrument, fault, line, asked, times, which in NUMBERS),
+    *(Cell(p, "converter, range", f"told ±{volts} V", "daq",
+           Spoilt("other", "CONF:RANG", says=f"OK -{volts},{volts}\n".encode(), lasting=True))
+      for p in CONVERTER for volts in (5, 20)),
     Cell("sweep", "analyzer, identity", "wrong identity", "gpib", Spoilt("other", r"^19:\*IDN", says=ANALYZER)),
     Cell("sweep", "oscilloscope, identity", "wrong identity", "gpib", Spoilt("other", r"^7:\*IDN", says=SCOPE)),
     Cell("sweep", "vibrometer, identity", "wrong identity", "ldv", Spoilt("other", "REM", says=b"OFV-5000\n")),

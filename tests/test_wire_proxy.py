@@ -163,6 +163,8 @@ def test_answers_on_a_bus_are_told_apart_by_address_and_blocks_are_whole() -> No
 
 def test_numbers_in_text_become_what_is_not_one() -> None:
     assert through(Spoilt("not_a_number", "2.5"), asking(b"2.5E+3;7"))[0] == b"<NAN;7>\n"
+    assert through(Spoilt("number", "2.5", size=1.1, place=1), asking(b"2.5E+3;70"))[0] == b"<2.5E+3;77>\n"
+    assert through(Spoilt("number", "2.5", size=2.0, place=0), asking(b"2.5;70"))[0] == b"<5.0000000000E+00;70>\n"
     assert through(Spoilt("overload", "2.5"), asking(b"2.5E+3;7"))[0] == b"<9.90000E+37;7>\n"
 
 

@@ -6,7 +6,8 @@ and what was asked. What is spoilt is whole answers (or frames), chosen by what 
 - silence: from then on no such answer arrives; late: it comes after `size` s, and all that follows behind it;
 - truncated: its first half, and never the rest; garbage: as many other bytes;
 - duplicated: it comes twice; previous: the answer before it comes again in its place; behind: so does every later one;
-- other: `says` in its place; not_a_number, overload: a number of it is NaN, or what SCPI says for infinity;
+- other: `says` in its place; number: of its numbers, the one at `place` is `size` times as large;
+- not_a_number, overload: a number of it is NaN, or what SCPI says for infinity;
 - flipped: bit `bit` of byte `place` of the text, or of a block's or a frame's payload, is another (-1: in the middle);
 - scaled: all numbers of a block of reals are `size` times as large, from then on;
 - disconnect: the line is closed instead; hung: from then on nothing passes, and nobody is told;
@@ -436,6 +437,14 @@ def _number(text: bytes) -> Maker:
     return made
 
 
+def _told(answer: bytes, before: bytes, spoilt: Spoilt, language: Any) -> bytes:
+    """Whole numbers stay whole."""
+    match = list(NUMBER.finditer(answer))[spoilt.place]
+    value = float(match[0]) * spoilt.size
+    text = f"{value:.10E}" if re.search(rb"[.eE]", match[0]) else f"{value:.0f}"
+    return answer[: match.start()] + text.encode() + answer[match.end() :]
+
+
 def _scaled(answer: bytes, before: bytes, spoilt: Spoilt, language: Any) -> bytes:
     begin, count = _payload(answer), (len(answer) - _payload(answer)) // 8
     reals = struct.unpack_from(f">{count}d", answer, begin)
@@ -466,6 +475,7 @@ MADE: dict[str, Maker] = {
     "previous": lambda answer, before, spoilt, language: before,
     "behind": lambda answer, before, spoilt, language: before,
     "other": lambda answer, before, spoilt, language: spoilt.says,
+    "number": _told,
     "not_a_number": _number(b"NAN"),
     "overload": _number(b"9.90000E+37"),
     "flipped": _flipped,

@@ -238,7 +238,7 @@ def test_a_channel_with_steps_of_another_size_than_the_others_is_refused(gpib, r
 
     ready.capture()
     monkeypatch.setattr(twin, "_preamble", with_larger_steps)
-    with pytest.raises(BadReply, match="CHAN2;PRE.* the same share of the range"):
+    with pytest.raises(BadReply, match=r"CHAN2;PRE.* the same share of the range"):
         ready.capture()
 
 

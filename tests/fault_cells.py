@@ -205,7 +205,7 @@ WHAT: Mapping[str, Any] = {
     "clipped": lambda name: Wrong(cut={name: CUT.get(name, (-10.0, 1.66))}),
     "spikes": lambda name: Wrong(spikes={name: (3, 0.5)}),
     "one large spike": lambda name: Wrong(spikes={name: (1, 5.0)}),
-    "hanging bit": lambda name: Wrong(hanging={name: 1 << 8}), "loose contact": lambda name: Wrong(loose={name: 0.05}),
+    "hanging bit": lambda name: Wrong(hanging={name: 1 << 5}), "loose contact": lambda name: Wrong(loose={name: 0.05}),
     "reads 10 % more": lambda name: Wrong(gain={name: 1.1}), "reads 2 % less": lambda name: Wrong(gain={name: 0.98}),
     "reads twice": lambda name: Wrong(gain={name: 2.0}), "reads a tenth": lambda name: Wrong(gain={name: 0.1}),
 }  # fmt: skip

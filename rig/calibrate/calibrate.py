@@ -23,7 +23,7 @@ from rig.calibrate.input_noise import noise_results, scales_of
 from rig.calibrate.joined import joined, of_model
 from rig.calibrate.judging import believed
 from rig.calibrate.merging import together
-from rig.calibrate.screening import Screened, screened
+from rig.calibrate.screening import screened
 from rig.calibrate.shaker_runs import ShakerRuns
 from rig.calibrate.time_base import clock_of, flagged
 from rig.calibrate.turntable_runs import TurntableRuns
@@ -73,7 +73,7 @@ def _of_bench(
     header = _common_header(runs)
     sensor = Sensor.of(header)
     chosen = recorder_of(runs, sensor, recorder)
-    looked = Screened(tuple(runs)) if chosen == "cube" else screened(runs, sensor)
+    looked = screened(runs, sensor, chosen)
     basis = basis_of(looked.runs, header, chosen)
     assumed = assumed if basis.recorder in READERS else None
     fits, unfitted = ({}, ()) if assumed is None else _fitted(looked.runs, assumed, basis.recorder)

@@ -9,7 +9,7 @@ they that have changed. What else is said of a channel that may be another is fl
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from rig.calibrate.calibration import SIGN_REVERSED, Result, rejected, text
@@ -20,8 +20,8 @@ from rig.sensor import Sensor
 COUPLING = ("cross_axis_", "cross_coupling_")
 MOST_COUPLING = 0.5  # of what a channel shows along its own axis; real ones are below a tenth
 FAINT = 0.2  # of the declared sensitivity
-OTHER = 2.0  # times the declared sensitivity, or less than its part: another sensor rather than one that has changed
-NOISY = 1.5  # times the noise of its data sheet, the same, where no motion shows which sensor it is
+NOISY = 1.5  # times the noise of the data sheet, or less than its part: no part of the kind is so far off
+NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")
 ALIKE = 0.05  # relative: how far factors differ that are one and the same, with units within their own tolerances
 SENSITIVITIES = ("sensitivity", "sensitivity_analyzer", "sensitivity_gravity", "sensitivity_centripetal")
 
@@ -58,8 +58,13 @@ def believed(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
     rows = [_judged_by(result, sensor) for result in results]
     suspected = {key: why for group in _groups(rows, sensor) for key, why in _common(group, sensor).items()}
     rows = [refused(row, suspected[row.key]) if row.key in suspected else row for row in rows]
-    doubted = dict([*_noisy(rows, sensor), *_others(rows, sensor)])
-    return (_doubtful(row, doubted[row.channel]) if row.channel in doubted else row for row in rows)
+    noisy, others = dict(_noisy(rows, sensor)), dict(_others(rows, sensor))
+    shown = {row.channel for row in rows if row.measurand in SENSITIVITIES and row.determined}
+    for row in rows:
+        if row.channel in others or (row.channel in noisy and row.channel not in shown):
+            yield _flagged(row, f"may be another channel: {others.get(row.channel) or noisy[row.channel]}")
+        else:
+            yield _flagged(row, noisy[row.channel]) if row.channel in noisy and row.measurand in NOISE else row
 
 
 def _others(rows: Iterable[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
@@ -70,15 +75,14 @@ def _others(rows: Iterable[Result], sensor: Sensor) -> Iterator[tuple[str, str]]
         times = (row.value or 0.0) / sensor.channel(row.channel).nominal
         if row.rejected:
             yield row.channel, f"{row.measurand} cannot be believed"
-        elif row.verdict == "fail" and times > 0.0 and not 1.0 / OTHER < times < OTHER:
+        elif row.verdict == "fail" and times > 0.0:
             yield row.channel, f"{row.measurand} is {times:.3g} times the declared one"
 
 
-def _noisy(rows: Sequence[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
-    """Channels that no motion shows to be what they are called, with the noise of another."""
-    shown = {row.channel for row in rows if row.measurand in SENSITIVITIES and row.determined}
+def _noisy(rows: Iterable[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Channels whose noise is not that of their data sheet, and by how much."""
     for row in rows:
-        if row.measurand != "noise_density" or row.value is None or row.channel in shown or row.channel not in sensor:
+        if row.measurand != "noise_density" or row.value is None or row.channel not in sensor:
             continue
         sheet = sensor.channel(row.channel).noise
         times = 1.0 if sheet is None else math.sqrt(2.0) * row.value / sheet.density
@@ -87,10 +91,10 @@ def _noisy(rows: Sequence[Result], sensor: Sensor) -> Iterator[tuple[str, str]]:
             yield row.channel, f"its noise is {times:.3g} times that of its data sheet"
 
 
-def _doubtful(row: Result, why: str) -> Result:
+def _flagged(row: Result, why: str) -> Result:
     if not row.determined or row.status != "determined":
         return row
-    return replace(row, status="flagged", remarks=(*row.remarks, f"may be another channel: {why}"))
+    return replace(row, status="flagged", remarks=(*row.remarks, why))
 
 
 def refused(result: Result, why: str) -> Result:

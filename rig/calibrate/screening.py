@@ -19,6 +19,7 @@ from rig.archive.journal import Entry
 from rig.archive.records import Recorded, Signals, wires_of
 from rig.archive.reduced import reduced
 from rig.calibrate.calibration import Result, rejected
+from rig.calibrate.cube_route import Recorder
 from rig.record import CubeSamples, Response, Samples
 from rig.sensor import Sensor, SensorChannel
 from rig.signals.sample_faults import Faults, faults, together
@@ -28,6 +29,7 @@ HIDDEN = "{} (left out)"
 NOISE = ("deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")
 ASKED = ("sensitivity", "sensitivity_gravity", "deviation")
 PLAUSIBLE = {"supply": (1.0, 30.0, "V"), "temperature": (-40.0, 85.0, "°C")}  # of a bench with parts that work
+MOST = 60_000.0  # steps of a record in volts: a code has sixteen bits
 LONG = 1 << 17  # scans looked at together: 4 MB of sixteen channels
 ONE_WIRE = 0.5  # correlation of steps, of which slots of a scan 60 µs apart leave 0.7; of separate ones none
 ENOUGH = 1000  # steps: by chance their correlation is below 0.2
@@ -113,17 +115,21 @@ def _concerns(found: Found, result: Result) -> bool:
     return found.at_rest or result.measurand not in NOISE
 
 
-def screened(runs: Sequence[Recorded], sensor: Sensor) -> Screened:
-    """Look at all records of the converter."""
+def screened(runs: Sequence[Recorded], sensor: Sensor, recorder: Recorder = "converter") -> Screened:
+    """Look at all records of the converter, of the oscilloscope where there is no other, or of the cube if it is to be.
+
+    Only the converter's wires are left out; what shows nothing elsewhere flags what stands on it.
+    """
     views: list[Recorded] = []
     left_out: list[Rejected] = []
     doubted: list[Found] = []
     logged: list[str] = []
     for run in runs:
-        every = _looked_at(run, sensor)
+        every = _looked_at(run, sensor, recorder)
         found = [one for one in every if one.channel in sensor]
         logged += _surroundings(run, [one for one in every if one.channel not in sensor])
-        lost = {one.channel: one for one in reversed(found) if one.lost}
+        wired = recorder != "cube" and any("samples" in entry.body for entry in run.lines)
+        lost = {one.channel: one for one in reversed(found) if one.lost and wired}
         left_out += [Rejected(run.name, name, one.words, _meant(run, sensor, name)) for name, one in lost.items()]
         doubted += [one for one in found if one.channel not in lost]
         views.append(Without(run, frozenset(lost)) if lost else run)
@@ -141,26 +147,27 @@ def _surroundings(run: Recorded, found: Sequence[Found]) -> Iterator[str]:
             yield f"{run.name}: found a {name} of {odd[0]:.4g} {unit}, wanted {low:g} to {high:g} {unit}: wrong wire?"
 
 
-def _looked_at(run: Recorded, sensor: Sensor) -> list[Found]:
+def _looked_at(run: Recorded, sensor: Sensor, recorder: Recorder) -> list[Found]:
     """Everything that is wrong with samples of sensors in a run."""
-    return reduced(run, "faults", (Found, Faults), lambda: list(_faults_of(run, sensor)), sensor)
+    kinds = (Found, Faults)
+    return reduced(run, "faults", kinds, lambda: list(_faults_of(run, sensor, recorder)), sensor, recorder)
 
 
-def _faults_of(run: Recorded, sensor: Sensor) -> Iterator[Found]:
+def _faults_of(run: Recorded, sensor: Sensor, recorder: Recorder) -> Iterator[Found]:
     wires = wires_of(run)
     watched = {*sensor.names, wires.supply, wires.temperature}
     for entry in run.lines:
         body = entry.body
-        if entry.kind not in ("point", "step") or "samples" not in body:
+        if entry.kind not in ("point", "step"):
             continue
         pieces: dict[str, list[Faults]] = {}
         alike: list[dict[str, set[str]]] = []
-        for names, counts in _stretches(run.pieces(str(body["samples"]))):
+        for names, counts in _codes(run, body, recorder):
             for column, name in enumerate(names):
                 if name in watched:
                     pieces.setdefault(name, []).append(faults(counts[:, column]))
             alike.append(_alike([name for name in names if name in sensor], names, counts))
-        label = str(body.get("label", body["samples"]))
+        label = str(body.get("label", body.get("samples", "")))
         at_rest = "frequency" not in body and "phase" not in body
         for name, several in pieces.items():
             like = set.intersection(*(one.get(name, set()) for one in alike)) if at_rest else set()
@@ -179,6 +186,28 @@ def _alike(wanted: Sequence[str], names: Sequence[str], counts: NDArray[np.uint1
         wanted[n]: {wanted[m] for m, same in zip(moving, row, strict=True) if same and m != n}
         for n, row in zip(moving, together, strict=True)
     }
+
+
+def _codes(
+    run: Recorded, body: Mapping[str, Any], recorder: Recorder
+) -> Iterator[tuple[list[str], NDArray[np.uint16]]]:
+    """Names and codes, (n, channels), of a record, in stretches."""
+    if recorder == "cube":
+        if "cube" in body:
+            found = run.cube(str(body["cube"]))
+            yield list(found.names), found.counts
+    elif "samples" in body:
+        yield from _stretches(run.pieces(str(body["samples"])))
+    elif "traces" in body:
+        traces = run.traces(str(body["traces"]))
+        yield list(traces.names), np.column_stack([_steps(column) for column in traces.volts.T])
+
+
+def _steps(volts: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """Volts as codes of the converter that they come from, as far as its steps show; none of them on a rail."""
+    apart = np.diff(np.unique(volts))
+    step = max(float(apart.min()), float(apart.sum()) / MOST) if len(apart) else 1.0
+    return np.asarray(np.rint((volts - volts.min()) / step) + 1.0, np.uint16)
 
 
 def _stretches(pieces: Iterable[Samples]) -> Iterator[tuple[list[str], NDArray[np.uint16]]]:

@@ -12,7 +12,9 @@ from typing import Any
 import fast_bench
 import numpy as np
 import pytest
+from miswired import Wrong, WrongWorld
 
+from fixtures.world import World
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration
 from rig.fit import adequacy
@@ -39,8 +41,10 @@ def recorded(seed: int) -> tuple[fast_bench.MemoryRecords, ...]:
     return kept_by("[recorder, cube]", seed, *RUNS)
 
 
-def kept_by(recorders: str, seed: int, *procedures: Mapping[str, Any]) -> tuple[fast_bench.MemoryRecords, ...]:
-    configs, world = fast_bench.BENCH.parents[1], fast_bench.world(seed)
+def kept_by(
+    recorders: str, seed: int, *procedures: Mapping[str, Any], world: World | None = None
+) -> tuple[fast_bench.MemoryRecords, ...]:
+    configs, world = fast_bench.BENCH.parents[1], world or fast_bench.world(seed)
     text = fast_bench.BENCH.read_text(encoding="utf-8").replace("../", f"{configs}/")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "bench.yaml"
@@ -128,3 +132,20 @@ def test_what_the_cube_alone_kept_is_no_figure_of_the_converter_and_no_error(pro
     (records,) = kept_by("[cube]", 41, procedure)
     assert run_figures.poses(records) is None
     assert run_figures.density(records) is None
+
+
+@pytest.mark.parametrize("recorders", ["[cube]", "[scope]"])
+def test_samples_that_are_no_measurement_are_told_by_whatever_recorder_kept_them(
+    recorders: str,
+) -> None:
+    sweep = {"procedure": "frequency_sweep", "axis": "x", "points": 3, "static": "0 s", "static_after": "0 s"}
+    procedure = {"procedure": "tumble", "record": "1 s"} if recorders == "[cube]" else sweep
+    cut, spiked = Wrong(cut={"unit_a_x": (-10.0, 2.2)}), Wrong(spikes={"unit_a_x": (3, 0.5)})
+    wrong = cut if recorders == "[cube]" else spiked
+    (sound,) = kept_by(recorders, 41, procedure)
+    (faulty,) = kept_by(recorders, 41, procedure, world=WrongWorld(41, wrong))
+    for records, said in ((sound, False), (faulty, True)):
+        made = calibrate([records], "alone")
+        (row,) = (one for one in made.results if one.key.startswith("unit_a_x.sensitivity"))
+        assert ("samples that are no measurement" in row.remarks[-1]) is said
+        assert (row.status == "flagged") is said

@@ -53,7 +53,7 @@ def main() -> int:
     for cell, one in outcomes.items():
         if one.kind in BAD:
             print(f"{one.kind}: {cell.name}: {one.words}")
-    if not options.only and not options.stale:
+    if not options.only:
         PAGE.write_text(page(outcomes), encoding="utf-8")
     return 1 if any(one.kind in BAD for one in outcomes.values()) else 0
 
@@ -190,7 +190,7 @@ def _options() -> Any:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "faults")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--stale", action="store_true", help="take what was said with other sources too; no page")
+    parser.add_argument("--stale", action="store_true", help="take what was said with other sources too")
     parser.add_argument("--only", action="append", default=[], help="only cells with this in their name")
     return parser.parse_args()
 

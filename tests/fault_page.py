@@ -2,10 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 
 from fault_outcomes import BAD, OUTCOMES, Outcome
 from faulty_bench import PROCEDURES, Cell
+
+WHY: Sequence[tuple[str, str]] = (
+    ("duplicat|doubled frame", "what is left over is thrown away before the next question"),
+    ("flipped bit at|spectrum", "one line of a spectrum of two hundred, beside those that are read"),
+    ("trace, flipped|preamble, flipped", "the last digits, or one sample of thousands"),
+    ("output, flipped|range, flipped|level, flipped|identity, flipped", "what it tells is still allowed, and was set"),
+    (
+        "identity: |samples: |restarts",
+        "damaged frames are known by their check sum, lost ones by their number; asked again",
+    ),
+    ("previous answer|one answer behind|stop, ", "the answer before was the same, or is not needed"),
+    ("overload number|told", "the setting itself is as it was asked for"),
+    ("second client", "whoever does not own the board is refused; what is heard by the way is thrown away"),
+    ("metadata", "nothing stands on it"),
+    ("scan, not counted", "one scan of thousands more, at rest or between whole revolutions"),
+    ("clock", "means at rest do not depend on time, densities by less than their uncertainty"),
+    ("reads 2 % less", "within twice the stated uncertainty of the vibrometer"),
+    ("encoder", "well above or below what tells its two states apart"),
+    ("hanging bit", "the bit is set anyway, or nothing stands on this channel here"),
+    ("clipped|loose|spikes|stuck|inverted|dead", "nothing stands on this channel here, or less is cut off than shows"),
+    ("tilted", "the direction of gravity is found from the poses themselves"),
+    ("swapped|sees", "what they show is the same within its uncertainty"),
+    ("operator", "what was asked for was so already, or is not used"),
+    ("", "within its uncertainty"),
+)
+"""Why a fault does no harm, by the first words that its cell has."""
 
 HEAD = """# What a fault of the bench does
 
@@ -31,7 +58,7 @@ def page(outcomes: Mapping[Cell, Outcome]) -> str:
         rows = {cell: one for cell, one in faulty.items() if cell.procedure == procedure}
         lines += [f"## {procedure}", "", *_table(rows), ""] if rows else []
     lines += _listed("What must not be", faulty, BAD)
-    lines += _listed("Harmless, by number", faulty, ("harmless",))
+    lines += ["## Harmless, by number", "", *_harmless(faulty)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -44,6 +71,19 @@ def _table(rows: Mapping[Cell, Outcome]) -> Iterator[str]:
             faults = [c.fault for c, one in rows.items() if c.instrument == instrument and one.kind == kind]
             if faults:
                 yield f"| {instrument} | {f'**{kind}**' if kind in BAD else kind} | {', '.join(faults)} |"
+
+
+def _harmless(rows: Mapping[Cell, Outcome]) -> Iterator[str]:
+    """Faults with one number and one reason in one line."""
+    grouped: dict[tuple[str, str, str], list[str]] = {}
+    for cell, one in rows.items():
+        if one.kind == "harmless":
+            why = next(text for words, text in WHY if re.search(words, cell.name))
+            grouped.setdefault((cell.procedure, one.words, why), []).append(f"{cell.instrument}: {cell.fault}")
+    yield "| procedure | faults | the row that is furthest off | why |"
+    yield "|---|---|---|---|"
+    for (procedure, words, why), faults in grouped.items():
+        yield f"| {procedure} | {'; '.join(faults)} | {words} | {why} |"
 
 
 def _listed(title: str, rows: Mapping[Cell, Outcome], kinds: tuple[str, ...]) -> list[str]:

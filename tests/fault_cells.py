@@ -15,7 +15,7 @@ from faulty_bench import PROCEDURES, Cell
 from miswired import Poses, Wrong, mounted, turned
 from wire_proxy import Spoilt
 
-LATE = 1.5  # s; later than any driver here waits for
+LATE = 4.0  # s; later than any driver here waits for
 CONVERTER = ("sweep", "turntable", "tumble", "noise")  # procedures that the converter records
 
 TEXT: Mapping[str, Spoilt] = {

@@ -33,8 +33,8 @@ SEED = 3
 LANGUAGES: Mapping[str, Callable[[], Any]] = {
     "gpib": Bus, "daq": Lines, "data": Frames, "ldv": Lines, "cube": Stuffed, "control": Lines,
 }  # fmt: skip
-PROMPT = {"gpib": "1 s", "daq": "1 s", "data": "1 s", "ldv": "0.7 s", "cube": "0.7 s"}
-"""How long a driver waits for an answer here: less than by default, so that silence costs less time."""
+PROMPT = {"gpib": "3 s", "daq": "3 s", "data": "3 s", "ldv": "3 s", "cube": "3 s"}
+"""How long a driver waits for an answer here: long enough for a busy machine, and the same for all."""
 
 PROCEDURES: Mapping[str, Mapping[str, Any]] = {
     "sweep": {"procedure": "frequency_sweep", "axis": "x", "points": 3, "levels": ["full"], "static": "4 s",

@@ -75,6 +75,8 @@ def _others(rows: Iterable[Result], sensor: Sensor) -> Iterator[tuple[str, str]]
         times = (row.value or 0.0) / sensor.channel(row.channel).nominal
         if row.rejected:
             yield row.channel, f"{row.measurand} cannot be believed"
+        elif row.value is not None and abs(row.value) <= row.expanded:
+            yield row.channel, f"{row.measurand} cannot be told from none"
         elif row.verdict == "fail" and times > 0.0:
             yield row.channel, f"{row.measurand} is {times:.3g} times the declared one"
 

@@ -104,6 +104,14 @@ def test_all_that_is_said_of_a_channel_that_may_be_another_is_flagged(
     assert not any("may be another" in remark for row in others for remark in row.remarks)
 
 
+def test_a_sensitivity_that_cannot_be_told_from_none_flags_its_channel() -> None:
+    made = concluded(SWEEP, Wrong(swapped=("unit_c_x", "gyro_pitch")))
+    found = made.result("unit_c_x.sensitivity")
+    assert found.value is None or abs(found.value) <= found.expanded
+    assert made.result("unit_c_x.noise_bandwidth").status == "flagged"
+    assert made.result("unit_b_x.noise_bandwidth").status == "determined"
+
+
 def test_channels_on_one_wire_are_told_by_their_noise() -> None:
     made = concluded(TUMBLE, Wrong(copied={"unit_b_x": "unit_a_x"}))
     for name, other in (("unit_a_x", "unit_b_x"), ("unit_b_x", "unit_a_x")):

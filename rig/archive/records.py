@@ -253,7 +253,10 @@ def _is_record(counts: NDArray[np.uint16], channels: Sequence[Channel], timing: 
 def wires_of(records: Recorded) -> Wires:
     """What the run's cables called the bench's own signals."""
     stated: Mapping[str, str] = records.header["bench_file"].get("signals") or {}
-    return Wires(**stated)
+    try:
+        return Wires(**stated)
+    except TypeError as error:
+        raise ArchiveError(f"{records.name}: found signals of another make ({error}), wanted their wires") from None
 
 
 def signals_of(records: Recorded, body: Mapping[str, Any]) -> Signals | None:

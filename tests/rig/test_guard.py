@@ -24,7 +24,7 @@ import pytest
 from rig.bench import guard as guard_of
 from rig.bench.armed import Armed, left_armed
 from rig.bench.control import Addresses, Control
-from rig.bench.guard import Charge, Guard, load_driver
+from rig.bench.guard import DYING, Charge, Guard, load_driver
 from rig.bench.possession import Holder
 from rig.errors import NotSafe, WorkFailed
 
@@ -149,6 +149,23 @@ def test_the_source_is_off_within_a_tenth_of_a_second_after_the_program_is_kille
     assert len(gone) == (found[first]["because"] == "the program is dying")
     assert first < safe[0] <= safe[-1] < last
     assert not gone or gone[0] < safe[-1]
+
+
+def test_a_thread_that_ends_with_the_bench_armed_makes_the_guard_act(instrument: Instrument, tmp_path: Path) -> None:
+    """Only the kernel's word tells it: the program goes on, and the pipe stays open."""
+    log = tmp_path / "guard.jsonl"
+    with Guard.start() as guard:
+        if guard._lifeline is None:
+            pytest.skip("no robust mutexes here")
+        working = threading.Thread(target=lambda: guard.arm([charge(instrument)], log=log))
+        working.start()
+        working.join()
+        instrument.answer()
+        guard._process.stdin.close()  # type: ignore[union-attr]
+        while "done" not in named(log):
+            instrument.answered_if_asked()
+    (acting,) = (one for one in events(log) if one["event"] == "acting")
+    assert acting["because"] == DYING
 
 
 def test_work_that_does_not_get_on_makes_the_guard_act_and_the_program_is_told(

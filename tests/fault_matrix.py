@@ -54,7 +54,7 @@ def main() -> int:
         if one.kind in BAD:
             print(f"{one.kind}: {cell.name}: {one.words}")
     if not options.only:
-        PAGE.write_text(page(outcomes), encoding="utf-8")
+        PAGE.write_text(page(outcomes, sum(store.is_stale(cell) for cell in chosen)), encoding="utf-8")
     return 1 if any(one.kind in BAD for one in outcomes.values()) else 0
 
 
@@ -76,6 +76,11 @@ class Store:
         except (OSError, ValueError):
             return None
         return found if self._stale or found["of"] == self._of(cell) else None
+
+    def is_stale(self, cell: Cell) -> bool:
+        """Whether what is there was said with other sources, or of another cell by that name."""
+        found = self.kept(cell)
+        return found is not None and found["of"] != self._of(cell)
 
     def keep(self, cell: Cell, said: Said | None) -> None:
         """Write it down."""

@@ -32,7 +32,7 @@ WHY: Sequence[tuple[str, str]] = (
     ("operator", "what was asked for was so already, or is not used"),
     ("", "within its uncertainty"),
 )
-"""Why a fault does no harm, by the first words that its cell has."""
+"""What may be why a fault does no harm, by the first words that its cell has; nobody has looked at each."""
 
 HEAD = """# What a fault of the bench does
 
@@ -43,17 +43,24 @@ runs the program as a shell does: drivers over the wire, procedure, guard, archi
 - *flagged*: values that the fault touches are flagged, fail, or are not determined, or a finding says that something is
   wrong;
 - *harmless*: every value is within twice its own expanded uncertainty of the truth (of zero outputs and noise: of what
-  is found without the fault), and nothing is said; the numbers stand at the end;
+  is found without the fault), and nothing is said; the numbers stand at the end, with what may be why by the kind of
+  fault. Twice, because one value in twenty is further off than its uncertainty by chance: what shifts a value by less
+  than that is not told from none;
 - **silent**: a value is further off, and nothing says so; **hang**; **traceback**: an error that is not deliberate;
   **unnamed**: an error that does not say where.
 """
 
 
-def page(outcomes: Mapping[Cell, Outcome]) -> str:
-    """The page as Markdown."""
+STALE = """
+{} of the cells were not run again since the program or the matrix has changed: they say what an earlier state did.
+"""
+
+
+def page(outcomes: Mapping[Cell, Outcome], stale: int = 0) -> str:
+    """The page as Markdown; `stale` cells were run with other sources."""
     faulty = {cell: one for cell, one in outcomes.items() if cell.fault != "none"}
     counts = ", ".join(f"{n} {kind}" for kind in OUTCOMES if (n := sum(o.kind == kind for o in faulty.values())))
-    lines = [HEAD, f"{len(faulty)} cells: {counts}.", ""]
+    lines = [HEAD, f"{len(faulty)} cells: {counts}.", *([STALE.format(stale)] if stale else [""])]
     for procedure in PROCEDURES:
         rows = {cell: one for cell, one in faulty.items() if cell.procedure == procedure}
         lines += [f"## {procedure}", "", *_table(rows), ""] if rows else []
@@ -80,7 +87,7 @@ def _harmless(rows: Mapping[Cell, Outcome]) -> Iterator[str]:
         if one.kind == "harmless":
             why = next(text for words, text in WHY if re.search(words, cell.name))
             grouped.setdefault((cell.procedure, one.words, why), []).append(f"{cell.instrument}: {cell.fault}")
-    yield "| procedure | faults | the row that is furthest off | why |"
+    yield "| procedure | faults | the row that is furthest off | by its kind, probably because |"
     yield "|---|---|---|---|"
     for (procedure, words, why), faults in grouped.items():
         yield f"| {procedure} | {'; '.join(faults)} | {words} | {why} |"

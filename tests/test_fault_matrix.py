@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from fault_cells import cells
+from fault_matrix import Store
 from fault_outcomes import BAD, judged, off
 from fault_page import page
 from faulty_bench import Cell, Said, carried_out
@@ -127,3 +128,16 @@ def test_the_page_lists_what_must_not_be_and_what_is_harmless(clean: Said) -> No
     assert "| converter | **hang** | stands still |" in text
     assert "- tumble: converter, stands still: did not end" in text
     assert all(kind in text for kind in BAD)
+    assert "earlier state" not in text
+    assert "1 of the cells were not run again" in page(outcomes, stale=1)
+
+
+def test_a_cell_that_was_run_with_other_sources_counts_as_stale(clean: Said, tmp_path: Path) -> None:
+    cell, other = CELLS["tumble: -, none"], CELLS["noise: -, none"]
+    store = Store(tmp_path, stale=True)
+    store.keep(cell, clean)
+    assert not store.is_stale(cell)
+    assert not store.is_stale(other)
+    store.path(cell).write_text(store.path(cell).read_text().replace('"of": "', '"of": "x'))
+    assert store.is_stale(cell)
+    assert Store(tmp_path).kept(cell) is None

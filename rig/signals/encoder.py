@@ -309,5 +309,5 @@ class Decoder:
 
 
 def decode(samples: Samples, settings: Settings | None = None) -> Lines:
-    """A whole record at once. Raises ArchiveError if a channel is missing."""
+    """A whole record at once. Raises what the samples do if a channel is missing."""
     return Decoder(settings).feed(samples, final=True)

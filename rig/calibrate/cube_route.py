@@ -21,7 +21,7 @@ from rig.errors import BadInput
 from rig.parts.reading.cube_frames import STEP, frames, rests, signals_of_frames, u_time_of
 from rig.parts.reading.revolutions import Rotation
 from rig.sensor import Sensor
-from rig.signals import noise, spectrum
+from rig.signals import noise, steady_lines
 from rig.signals.line import gls
 
 Recorder = Literal["converter", "cube", "scope"]
@@ -104,19 +104,17 @@ def noise_by_cube(
     rate = seen.samples.rate
     for name in (one for one in channels if one in seen.names):
         clipped = seen.samples.clipped(name)
-        lines = spectrum.Periodogram(rate)
         try:
             if clipped:
                 raise BadInput(f"clipped ({clipped} samples)")
-            lines.feed(seen.samples.volts(name)[seen.whole])
-            result = lines.result()
+            result, lines = steady_lines.lines_without(seen.samples.volts(name)[seen.whole], rate)
         except BadInput as error:
             missing[name] = f"{records.name}, record at rest: {error}"
             continue
         fitted = noise.fit_blocks(result, step=STEP, pole=poles.get(name))
         value, dof, reason = resting.deviation(result, fitted, STEP)
         block = str(body["cube"])
-        found[name] = Resting(name, records.name, block, result.seconds, fitted, value, dof, reason)
+        found[name] = Resting(name, records.name, block, result.seconds, fitted, value, dof, reason, lines)
     return found, missing
 
 

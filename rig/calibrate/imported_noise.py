@@ -43,7 +43,8 @@ def _resting(run: str, one: AtRest) -> Resting | None:
         return None
     lines, fitted = one.spectrum.lines, one.spectrum.fitted
     value, dof, reason = deviation(lines, fitted, one.spectrum.step)
-    return Resting(one.channel, run, one.table, lines.seconds, fitted, value, dof, reason)
+    steady = one.spectrum.steady
+    return Resting(one.channel, run, one.table, lines.seconds, fitted, value, dof, reason, steady)
 
 
 def _scale(channel: SensorChannel, column: Column, own: Result | None) -> Scale:

@@ -14,6 +14,7 @@ from rig.sensor import Sensor, SensorChannel, SheetNoise
 from rig.signals.noise import coefficients
 
 DEVIATION = "deviation at rest, 1/30 Hz to half the sampling rate"
+FEW = 4  # lines that are said one by one
 RANDOM_WALK = {"acceleration": "(m/s²)·√Hz", "rate": "(rad/s)·√Hz"}
 
 
@@ -75,6 +76,7 @@ def scales_of(sensor: Sensor, sensitivities: Iterable[Result]) -> dict[str, Scal
 
 def _noise_of(sensor: SensorChannel, noise: Resting, by: Scale) -> Iterator[Result]:
     how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
+    by = replace(by, remarks=(*by.remarks, *_lines_of(noise, sensor, by)))
     title = DEVIATION
     if noise.deviation is None:
         yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
@@ -95,6 +97,16 @@ def _noise_of(sensor: SensorChannel, noise: Resting, by: Scale) -> Iterator[Resu
             result = by.result(sensor, measurand, title, unit, one.value, one.u, how)
             yield _beside_sheet(result, sensor.noise) if key == "N" else result
     yield _bandwidth(sensor, noise, how)
+
+
+def _lines_of(noise: Resting, sensor: SensorChannel, by: Scale) -> Iterator[str]:
+    """What is said of steady lines that are no part of the noise, the strongest first."""
+    strongest = sorted(noise.lines, key=lambda line: -line.rms)
+    sizes = [units.format_quantity(one.rms / abs(by.sensitivity), sensor.quantity, 3) for one in strongest]
+    said = [f"{one.frequency:.4g} Hz ({size} rms)" for one, size in zip(strongest, sizes, strict=True)]
+    if said:
+        more = f" and {len(said) - FEW} more" if len(said) > FEW else ""
+        yield f"without the steady {'line' if len(said) == 1 else 'lines'} at {', '.join(said[:FEW])}{more}"
 
 
 def _beside_sheet(result: Result, sheet: SheetNoise | None) -> Result:

@@ -6,8 +6,9 @@ rounding taken away; "at rest" alone would not define it, because flicker grows 
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from rig.archive.records import Recorded, statics
 from rig.archive.reduced import reduced
 from rig.errors import BadInput
-from rig.signals import noise, spectrum
+from rig.signals import noise, spectrum, steady_lines
 
 LOWEST = 1.0 / 30.0  # Hz
 SHORTEST = 4.0  # s; a shorter record says nothing of a deviation down to 1/30 Hz
@@ -27,7 +28,8 @@ SHORTEST = 4.0  # s; a shorter record says nothing of a deviation down to 1/30 H
 class Resting:
     """Noise of one channel, in volts.
 
-    `deviation` (V rms) with its degrees of freedom, or None with the reason; `fit` is the spectrum's model.
+    `deviation` (V rms) with its degrees of freedom, or None with the reason; `fit` is the spectrum's model. `lines`,
+    V rms, stand in neither.
     """
 
     channel: str
@@ -38,6 +40,7 @@ class Resting:
     deviation: float | None
     dof: float
     reason: str = ""
+    lines: tuple[steady_lines.SteadyLine, ...] = ()
 
     @property
     def slow(self) -> noise.NoiseModel:
@@ -85,7 +88,7 @@ def _of_record(
     records: Recorded, block: str, names: Sequence[str], poles: Mapping[str, float]
 ) -> dict[str, Resting | str]:
     """Noise of channels of one record, or why there is none."""
-    kinds = (Resting, noise.NoiseFit, noise.NoiseModel)
+    kinds = (Resting, noise.NoiseFit, noise.NoiseModel, steady_lines.SteadyLine)
     looked_for = {name: poles.get(name) for name in sorted(names)}
     return reduced(
         records, f"rest-{block}", kinds, lambda: _looked_at(records, block, list(looked_for), poles), looked_for
@@ -110,14 +113,19 @@ def _looked_at(
             found[name] = f"clipped ({clipped[name]} samples)"
             continue
         try:
-            lines = periodogram.result()
+            lines, steady = steady_lines.without_lines(periodogram, functools.partial(_volts, records, block, name))
         except BadInput as error:
             found[name] = str(error)
             continue
         fitted = noise.fit_blocks(lines, step=step, pole=poles.get(name))
         value, dof, reason = deviation(lines, fitted, step)
-        found[name] = Resting(name, records.name, block, lines.seconds, fitted, value, dof, reason)
+        found[name] = Resting(name, records.name, block, lines.seconds, fitted, value, dof, reason, steady)
     return found
+
+
+def _volts(records: Recorded, block: str, name: str) -> Iterator[NDArray[np.float64]]:
+    """A channel's record piece by piece."""
+    return (piece.volts(name) for piece in records.pieces(block))
 
 
 def deviation(lines: spectrum.Lines, fitted: noise.NoiseFit, step: float) -> tuple[float | None, float, str]:

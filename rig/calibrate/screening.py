@@ -22,6 +22,7 @@ from rig.calibrate.calibration import Result, rejected
 from rig.calibrate.cube_route import Recorder
 from rig.record import CubeSamples, Response, Samples
 from rig.sensor import Sensor, SensorChannel
+from rig.signals.rest_lines import around
 from rig.signals.sample_faults import Faults, faults, together
 
 LOST = 0.1  # share of a record without which a channel shows nothing there
@@ -176,12 +177,21 @@ def _faults_of(run: Recorded, sensor: Sensor, recorder: Recorder) -> Iterator[Fo
 
 
 def _alike(wanted: Sequence[str], names: Sequence[str], counts: NDArray[np.uint16]) -> dict[str, set[str]]:
-    """Of each channel, those whose noise is its own: steps from sample to sample, in which a floor hardly shakes."""
+    """Of each channel, those whose noise is its own: steps from sample to sample, in which a floor hardly shakes.
+
+    Lines that stand out of a channel's spectrum are cut to what is around them: one hum on all wires is not one wire.
+    """
     steps = np.diff(counts[:, [names.index(name) for name in wanted]].astype(np.float64), axis=0)
     moving = [n for n in range(len(wanted)) if len(steps) >= ENOUGH and steps[:, n].any()]
     if len(moving) < 2:
         return {}
-    together = np.abs(np.corrcoef(steps[:, moving].T)) > ONE_WIRE
+    shown = steps[:, moving] - steps[:, moving].mean(axis=0)
+    lines = np.fft.rfft(shown * np.hanning(len(shown))[:, None], axis=0)
+    power = np.abs(lines) ** 2
+    lines *= np.sqrt(np.minimum(around(power) / np.maximum(power, np.finfo(float).tiny), 1.0))
+    shared = (lines.conj().T @ lines).real
+    size = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
+    together = np.abs(shared / np.outer(size, size)) > ONE_WIRE
     return {
         wanted[n]: {wanted[m] for m, same in zip(moving, row, strict=True) if same and m != n}
         for n, row in zip(moving, together, strict=True)

@@ -47,15 +47,15 @@ class Line:
 def strongest(records: Sequence[Array], rate: float, mains: float) -> Line | None:
     """The line that stands out most in records (n, c) of like channels, which all are of one length; or None."""
     found = [_powers(values) for values in records]
-    relative = np.sum([power / _around(power) for power in found], axis=(0, 2))
+    relative = np.sum([power / around(power) for power in found], axis=(0, 2))
     frequency = np.arange(len(relative)) * rate / len(records[0])
     beside = np.abs(frequency - mains * np.maximum(np.round(frequency / mains), 1.0))
     looked = (np.arange(len(relative)) > SLOWEST) & (beside > BESIDE) & (frequency < 0.5 * rate - 1.0)
     if not looked.any():
         return None
     place = int(np.where(looked, relative, 0.0).argmax())
-    evidence = _evidence(float(relative[place]), len(records) * records[0].shape[1], int(np.count_nonzero(looked)))
-    return _fitted(records, rate, float(frequency[place]), place, evidence) if evidence > EVIDENCE else None
+    chance = evidence(float(relative[place]), len(records) * records[0].shape[1], int(np.count_nonzero(looked)))
+    return _fitted(records, rate, float(frequency[place]), place, chance) if chance > EVIDENCE else None
 
 
 def _powers(values: Array) -> Array:
@@ -64,18 +64,21 @@ def _powers(values: Array) -> Array:
     return np.asarray(np.abs(np.fft.rfft((values - values.mean(axis=0)) * window[:, None], axis=0)) ** 2)
 
 
-def _around(power: Array) -> Array:
-    """Expectation of every line from the median of those around it, (lines, c); thinned, for it is smooth."""
+def around(power: Array, median: float = math.log(2.0)) -> Array:
+    """Expectation of every line from the median of those around it, (lines, c); thinned, for it is smooth.
+
+    `median` of a line whose expectation is 1, by its degrees of freedom: of two without being told.
+    """
     step = AROUND // 4
     padded = np.pad(power, ((AROUND // 2, AROUND // 2 + step), (0, 0)), mode="reflect")
     places = np.arange(0, len(power) + step, step)
     windows = np.lib.stride_tricks.sliding_window_view(padded, AROUND, axis=0)
     medians = np.median(windows[np.minimum(places, len(power) - 1)], axis=-1)
     at = np.arange(len(power))
-    return np.stack([np.interp(at, places, one) for one in medians.T], axis=1) / math.log(2.0)
+    return np.stack([np.interp(at, places, one) for one in medians.T], axis=1) / median
 
 
-def _evidence(total: float, count: int, tried: int) -> float:
+def evidence(total: float, count: float, tried: int) -> float:
     """−2·ln of the probability that the largest of some sums of `count` exponential numbers is so large."""
     from scipy.special import gammaincc, gammaln
 
@@ -89,7 +92,7 @@ def _fitted(records: Sequence[Array], rate: float, near: float, place: int, evid
     time = np.arange(count) / rate
     tried = near + np.linspace(-1.0, 1.0, 2 * FINE + 1) * rate / count
     window = 1.0 - np.cos(2.0 * math.pi * (np.arange(count) + 0.5) / count)
-    level = [_around(_powers(one))[place] for one in records]  # of Hann's lines, (c,)
+    level = [around(_powers(one))[place] for one in records]  # of Hann's lines, (c,)
     wave = np.exp(-2j * math.pi * tried[0] * time) * (2.0 / count) * window
     step = np.exp(-2j * math.pi * (tried[1] - tried[0]) * time)
     lines = np.empty((len(records), len(tried), records[0].shape[1]), np.complex128)

@@ -7,6 +7,7 @@ memory than its slow part.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,12 +144,13 @@ class Periodogram:
     """Lines of a record fed piece by piece; beyond `WHOLE` samples only segment powers and block means are kept.
 
     A long record gives its high frequencies as averages over segments and its low ones from the means of blocks.
+    `without` are bands (low, high) in Hz of which nothing is kept.
     """
 
-    def __init__(self, rate: float, per_decade: float = 50.0) -> None:
+    def __init__(self, rate: float, per_decade: float = 50.0, without: Sequence[tuple[float, float]] = ()) -> None:
         if not (rate > 0 and math.isfinite(rate)):
             raise BadInput(f"periodogram: found a rate of {rate} Hz, wanted one above zero")
-        self._rate, self._per_decade = rate, per_decade
+        self._rate, self._per_decade, self._without = rate, per_decade, tuple(without)
         self._pieces: list[Array] = []
         self._means: list[Array] = []
         self._rest: Array = np.empty(0)
@@ -180,6 +182,24 @@ class Periodogram:
             raise BadInput("periodogram: found a constant record, wanted noise")
         return self._whole(variance) if self._samples <= WHOLE else self._long(variance)
 
+    @property
+    def rate(self) -> float:
+        """Sampling rate, Hz."""
+        return self._rate
+
+    def powers(self) -> tuple[Array, Array, int]:
+        """Frequencies (n,) in Hz of cosine lines, powers (n,) in unit²/Hz, and of how many stretches these are means.
+
+        Raises BadInput for an empty record.
+        """
+        if not self._samples:
+            raise BadInput("periodogram: found no samples, wanted some")
+        if self._segments:
+            power = self._power[1:] * (2.0 / (self._rate * self._segments))
+            return self._fast(np.arange(1, SEGMENT)), power, self._segments
+        frequency, lines, _ = _cosine_lines(np.concatenate(self._pieces), self._rate)
+        return frequency, lines**2, 1
+
     def _keep_whole(self, data: Array) -> None:
         if self._samples <= WHOLE:
             self._pieces.append(data.copy())
@@ -203,11 +223,23 @@ class Periodogram:
     def _whole(self, variance: float) -> Lines:
         values = np.concatenate(self._pieces)
         frequency, lines, ramp = _cosine_lines(values, self._rate)
-        high = log_bins(frequency[LOW_LINES:], lines[LOW_LINES:] ** 2, self._per_decade)
-        low = slice(0, LOW_LINES)
+        kept = self._kept(frequency)
+        low, rest = np.flatnonzero(kept[:LOW_LINES]), LOW_LINES + np.flatnonzero(kept[LOW_LINES:])
+        high = log_bins(frequency[rest], lines[rest] ** 2, self._per_decade)
         return Lines(
             self._rate, values.size / self._rate, frequency[low], lines[low], ramp[low], _above(high), variance
         )
+
+    def _fast(self, k: NDArray[np.intp]) -> Array:
+        """Frequencies of lines of a segment, Hz."""
+        return np.asarray(k * (self._rate / (2 * SEGMENT)), np.float64)
+
+    def _kept(self, frequency: Array) -> NDArray[np.bool_]:
+        """Which of these frequencies are outside the bands that do not count."""
+        kept = np.ones(frequency.shape, np.bool_)
+        for below, above in self._without:
+            kept &= (frequency < below) | (frequency > above)
+        return kept
 
     def _long(self, variance: float) -> Lines:
         """Slow part up to a twentieth of the block rate, where the block mean loses less than 1 %; segments above."""
@@ -218,8 +250,9 @@ class Periodogram:
         middle[:LOW_LINES] = False
         slow = log_bins(frequency[middle], lines[middle] ** 2, self._per_decade)
         k = np.arange(SKIPPED, SEGMENT)
+        k = k[self._kept(self._fast(k))]
         power = self._power[k] * (2.0 / (self._rate * self._segments))
-        fast = log_bins(k * (self._rate / (2 * SEGMENT)), power, self._per_decade, self._segments)
+        fast = log_bins(self._fast(k), power, self._per_decade, self._segments)
         high = Density(
             np.concatenate([slow.frequency, fast.frequency]),
             np.concatenate([slow.density, fast.density]),

@@ -18,7 +18,8 @@ from rig.motion import Array
 from rig.signals import noise
 from rig.signals.noise import Coefficient, NoiseFit
 from rig.signals.noise_at_rest import step_of
-from rig.signals.spectrum import Lines, Periodogram
+from rig.signals.spectrum import Lines
+from rig.signals.steady_lines import SteadyLine, lines_without
 
 LEAST_STEPS = 0.5  # standard deviation of noise in steps: from there rounding adds its twelfth to within some per cent
 MOST = 0.5  # of the rows in one stretch without a gap: then it is the record
@@ -28,11 +29,12 @@ FEWEST = 16  # rows, below which there is no noise to speak of
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Lines of a record, the noise model fitted to them, and what its numbers are rounded to, SI."""
+    """Lines of a record, the noise model fitted to them, what its numbers are rounded to, and what is steady, SI."""
 
     lines: Lines
     fitted: NoiseFit
     step: float
+    steady: tuple[SteadyLine, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,9 @@ class AtRest:
         mean = (
             f"{self.table}, {self.channel}: mean {self.mean:.6g} {self.unit}, standard deviation {self.deviation:.3g}"
         )
-        return "; ".join([mean, *known])
+        steady = () if self.spectrum is None else self.spectrum.steady
+        lines = [f"a steady line at {one.frequency:.4g} Hz of {one.rms:.3g} {self.unit} rms" for one in steady]
+        return "; ".join([mean, *known, *lines])
 
 
 def at_rest(foreign: Foreign) -> Iterator[AtRest]:
@@ -116,10 +120,8 @@ def _refuse_few_codes(values: Array, step: float, unit: str) -> None:
 
 
 def _spectrum(values: Array, rate: float, step: float) -> Spectrum:
-    periodogram = Periodogram(rate)
-    periodogram.feed(values)
-    lines = periodogram.result()
-    return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None, ramp=True), step)
+    lines, steady = lines_without(values, rate)
+    return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None, ramp=True), step, steady)
 
 
 def _apart(time: Array) -> NDArray[np.bool_]:

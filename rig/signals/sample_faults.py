@@ -24,6 +24,11 @@ ALONE = 20.0  # robust standard deviations off the middle of both neighbours: a 
 COARSE = 2.0  # codes: behind a slow filter neighbours differ by a few, and those are not normally distributed
 SINGLE = 1.5  # times what the neighbours are off: exactly two for a single sample, one for a step
 WINDOWS = 4  # side by side, each with both values of a bit
+EDGE = 8  # parts of half a window, of which the one beside an empty half is looked at
+ABRUPT = 0.25  # of what it would hold if all did alike
+JUMPS = 1e-3  # share of steps that jump by a bit
+STILL = 1.0 / 3.0  # of a bit, standard deviation of the others
+ALIKE = 1.5  # times that, of what jumps are off a bit
 FEWEST = 16  # samples that say something
 
 
@@ -147,16 +152,43 @@ def _alone(codes: Codes) -> int:
 
 
 def _hanging(codes: Codes) -> int:
-    """The highest bit that never changes though the codes go through both its values several times; -1 without one.
+    """The highest bit that never changes though the codes go through both its values; -1 without one.
 
-    Of neighbouring windows that hold both, one half is always empty; two levels far apart are no neighbours.
+    Of neighbouring windows that hold both, one half is always empty; two levels far apart are no neighbours. Of few
+    windows, the codes end as abruptly on both sides of what is empty as no noise about two levels does; or they jump by
+    the bit again and again, and otherwise hardly move.
     """
     changed = int(np.bitwise_or.reduce(codes ^ codes[0]))
     span = int(codes.max()) - int(codes.min())
-    for bit in (one for one in range(13, -1, -1) if not changed >> one & 1 and WINDOWS << (one + 1) <= span):
+    steps = np.asarray(np.diff(codes.astype(np.int64)), np.int64)
+    for bit in (one for one in range(13, -1, -1) if not changed >> one & 1 and 1 << one <= 2 * span):
         windows, each = np.unique(codes >> (bit + 1), return_counts=True)
         used = windows[each >= PILE].astype(np.int64)
-        steps = np.split(used, np.flatnonzero(np.diff(used) != 1) + 1)
-        if max(map(len, steps)) >= WINDOWS:
+        rows = np.split(used, np.flatnonzero(np.diff(used) != 1) + 1)
+        many = WINDOWS << (bit + 1) <= span and max(map(len, rows)) >= WINDOWS
+        if many or any(_torn(codes, bit, int(low)) for row in rows for low in row[:-1]) or _jumps(steps, 1 << bit):
             return bit
     return -1
+
+
+def _torn(codes: Codes, bit: int, window: int) -> bool:
+    """Whether codes end abruptly on both sides of the empty half between a window and the next."""
+    half = 1 << bit
+    edge = half // EDGE
+    first = (window << (bit + 1)) + (half if codes[0] >> bit & 1 else 0)
+    for begin, at in ((first, first + half - edge), (first + 2 * half, first + 2 * half)):
+        inside = np.count_nonzero((codes >= begin) & (codes < begin + half))
+        beside = np.count_nonzero((codes >= at) & (codes < at + edge))
+        if beside < max(PILE, ABRUPT * inside / EDGE):
+            return False
+    return edge > 0
+
+
+def _jumps(steps: NDArray[np.int64], size: int) -> bool:
+    """Whether the steps from sample to sample are as large as a bit, give or take what they are otherwise, or small."""
+    jumps = np.abs(steps) > size // 2
+    if np.count_nonzero(jumps) < max(PILE, JUMPS * len(steps)):
+        return False
+    small = max(float(np.std(steps[~jumps])), 0.5)
+    left = np.abs(steps[jumps]) - size
+    return small < STILL * size and math.sqrt(float(np.mean(left**2))) < ALIKE * small

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ import fast_bench
 import numpy as np
 import pytest
 from miswired import Wrong, WrongWorld
+from scipy.signal import lfilter
 
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, text
@@ -55,6 +57,29 @@ def test_codes_say_what_is_wrong_with_them() -> None:
         for sine in (0.0, 20.0, 498.0):
             moved = noisy(3125, seed, codes) + np.rint(1000.0 * np.sin(2.0 * np.pi * sine * time)).astype(int)
             assert not list(faults(moved.astype(np.uint16)))
+
+
+def test_a_bit_that_hangs_is_told_where_noise_hardly_goes_beyond_it() -> None:
+    """Three codes of noise where bit 3 changes, and twelve behind a slow filter where bit 4 does."""
+    fast = noisy(8000, codes=3.0) - np.uint16(38000) + np.uint16(0x9478)
+    steps = np.random.default_rng(2).standard_normal(8000)
+    slow = np.rint(38000 + 12.0 * lfilter([math.sqrt(1.0 - 0.97**2)], [1.0, -0.97], steps)).astype(np.uint16)
+    for clean, bits in ((fast, (3,)), (slow, (4, 5))):
+        assert not list(faults(clean))
+        for bit in bits:
+            for hangs in (clean | np.uint16(1 << bit), clean & ~np.uint16(1 << bit)):
+                assert list(faults(hangs)) == [f"bit {bit} never changes"], (bits, bit)
+
+
+@pytest.mark.parametrize("name", ["gyro_yaw", "gyro_roll", "unit_a_x"])
+@pytest.mark.parametrize("bit", [3, 4, 5])
+def test_noise_that_a_hanging_bit_makes_wrong_is_flagged(name: str, bit: int) -> None:
+    clean, made = concluded(NOISE, Wrong()), concluded(NOISE, Wrong(hanging={name: 1 << bit}))
+    for row in (one for one in made.results if one.channel == name and one.value is not None):
+        before = clean.result(row.key)
+        if before.value is not None and abs(float(row.value or 0.0) - before.value) > 2.0 * before.expanded:
+            assert row.status == "flagged", row.key
+            assert f"bit {bit} never changes" in row.remarks[-1]
 
 
 @pytest.mark.parametrize(

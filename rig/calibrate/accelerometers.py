@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Referred = Callable[[str, str, str, float, float, str], Result]  # measurand, title, unit, V, u, method: to the input
 SENSITIVITY = "V/(m/s²)"
+CREST = 8.0  # of what a fit leaves over, in standard deviations: noise reaches 6.5 in 10¹⁰ samples
 POLE_PRIOR = 0.5  # of the logarithm: the data sheet's bandwidth within a factor of about two
 
 
@@ -228,14 +229,23 @@ def _cosine(name: str, limit: float, value: float) -> Contribution:
                         source=f"declared limit {math.degrees(limit):.3g}°")  # fmt: skip
 
 
-def motion_noise_result(points: Sequence[SinePoint], channel: str, unit: str, refer: Referred) -> Result:
-    """Noise while the sensor moves: what the fits of all sines leave over, above the reciprocal of a record."""
+def motion_noise_result(
+    points: Sequence[SinePoint], channel: str, unit: str, refer: Referred, found: ChannelFit
+) -> Result:
+    """Noise while the sensor moves: what the fits of all sines leave over, above the reciprocal of a record.
+
+    Flagged where that is no noise: a sample stands out of it, or the sines themselves do not follow the model `found`.
+    """
     good = [p.lines[channel] for p in points if channel in p.lines and not p.flags and not p.lines[channel].flags]
     squares = np.array([line.residual_rms**2 - line.step**2 / 12.0 for line in good])
     value = math.sqrt(max(float(squares.mean()), 0.0))
     u = float(squares.std(ddof=1)) / math.sqrt(len(good)) / (2.0 * value) if value > 0.0 else 0.0
     title = "deviation in motion: output less the fitted sines, above the reciprocal of a record"
-    return refer("deviation_in_motion", title, unit, value, u, f"residuals of {len(good)} sine fits")
+    result = refer("deviation_in_motion", title, unit, value, u, f"residuals of {len(good)} sine fits")
+    crest = max((line.crest for line in good), default=0.0)
+    alone = (f"a sample is {crest:.0f} times their deviation off what else the sines leave over: it is no noise",)
+    said = (*found.misfit.remarks, *(alone if crest > CREST else ()))
+    return replace(result, status="flagged", remarks=(*result.remarks, *said)) if said else result
 
 
 def remount_of(fits: Mapping[str, Sequence[ChannelFit]]) -> Contribution | None:

@@ -129,11 +129,11 @@ class ShakerRuns:
 
     def noise_in_motion(self, scales: Mapping[str, Scale]) -> Iterator[Result]:
         """Of every driven channel."""
-        for name in self._whole:
+        for name, fit in self._whole.items():
             if name in scales:
                 sensor = self._basis.sensor.channel(name)
-                refer = partial(scales[name].result, sensor)
-                yield accelerometers.motion_noise_result(self._points_of(sensor.axis), name, sensor.unit, refer)
+                refer, points = partial(scales[name].result, sensor), self._points_of(sensor.axis)
+                yield accelerometers.motion_noise_result(points, name, sensor.unit, refer, fit)
 
     def _offsets(self) -> Iterator[Result]:
         """Zero output from the records at rest in which the axis was horizontal."""

@@ -113,6 +113,19 @@ def test_what_a_spike_spoils_is_flagged_and_nothing_else() -> None:
     assert "1 sample stands alone" in made.result("unit_a_x.deviation").remarks[-1]
 
 
+def test_noise_in_motion_that_is_none_is_flagged_where_no_look_at_codes_can_tell() -> None:
+    """Coarse codes of a few points a cycle, as the oscilloscope's: a sample that stands out hides in the sine."""
+    spiked = concluded({**SWEEP, "points": 4}, Wrong(spikes={"unit_a_x": (3, 0.1)})).result(
+        "unit_a_x.deviation_in_motion"
+    )
+    assert spiked.status == "flagged"
+    assert any("it is no noise" in one for one in spiked.remarks)
+    bent = concluded({**SWEEP, "points": 4}, Wrong(hanging={"unit_a_x": 1 << 8}))
+    assert bent.result("unit_a_x.sensitivity").status == "flagged"
+    assert "one-pole response misses the points" in str(bent.result("unit_a_x.deviation_in_motion").remarks)
+    assert all(bent.result(f"unit_{one}_x.deviation_in_motion").status == "determined" for one in "bc")
+
+
 def test_a_response_that_no_fit_follows_costs_no_tumble() -> None:
     world = WrongWorld(3, Wrong(), [RESONANCE])
     runs = [fast_bench.measure(one, world) for one in ({**SWEEP, "points": 4}, TUMBLE)]

@@ -98,7 +98,10 @@ def chain_of(records: Recorded) -> Chain:
 
 @dataclass(frozen=True)
 class Line:
-    """One channel at one sine: amplitudes C_1…C_5 (V, complex), variance of each part (V²), mean and step (V)."""
+    """One channel at one sine: amplitudes C_1…C_5 (V, complex), variance of each part (V²), mean and step (V).
+
+    `crest` is the largest of what the fit leaves over, in units of its root mean square.
+    """
 
     amplitudes: Complexes
     variance: NDArray[np.float64]
@@ -106,6 +109,7 @@ class Line:
     residual_rms: float
     dof: float
     step: float = 0.0
+    crest: float = 0.0
     flags: tuple[str, ...] = ()
 
 
@@ -235,13 +239,15 @@ def lines_of(found: Signals, frequency: float) -> tuple[dict[str, Line], NDArray
     for column, name in enumerate(found.names):
         turn = np.exp(-2j * math.pi * frequency * order * found.skew[column])
         parts = solution[: 2 * harmonics, column]
+        rms = float(np.sqrt(np.sum(left[:, column] ** 2) / dof))
         lines[name] = Line(
             amplitudes=_filled((parts[0::2] + 1j * parts[1::2]) * turn),
             variance=_filled(variances[:, column]),
             mean=float(solution[2 * harmonics, column]),
-            residual_rms=float(np.sqrt(np.sum(left[:, column] ** 2) / dof)),
+            residual_rms=rms,
             dof=dofs[0],
             step=found.step,
+            crest=float(np.abs(left[:, column]).max()) / rms if rms > 0.0 else 0.0,
             flags=(f"clipped ({found.clipped[name]} samples)",) if found.clipped.get(name) else (),
         )
     return lines, np.asarray(left, np.float64)

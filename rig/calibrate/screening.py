@@ -161,17 +161,18 @@ def _faults_of(run: Recorded, sensor: Sensor, recorder: Recorder) -> Iterator[Fo
         body = entry.body
         if entry.kind not in ("point", "step"):
             continue
+        at_rest = "frequency" not in body and "phase" not in body
         pieces: dict[str, list[Faults]] = {}
         alike: list[dict[str, set[str]]] = []
         for names, counts in _codes(run, body, recorder):
             for column, name in enumerate(names):
                 if name in watched:
                     pieces.setdefault(name, []).append(faults(counts[:, column]))
-            alike.append(_alike([name for name in names if name in sensor], names, counts))
+            if at_rest:
+                alike.append(_alike([name for name in names if name in sensor], names, counts))
         label = str(body.get("label", body.get("samples", "")))
-        at_rest = "frequency" not in body and "phase" not in body
         for name, several in pieces.items():
-            like = set.intersection(*(one.get(name, set()) for one in alike)) if at_rest else set()
+            like = set.intersection(*(one.get(name, set()) for one in alike)) if alike else set()
             if list(whole := together(several)) or like:
                 yield Found(run.name, label, name, whole, at_rest, tuple(sorted(like)))
 

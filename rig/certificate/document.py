@@ -11,6 +11,7 @@ from typing import Any
 from rig.calibrate.calibration import Calibration, Result, shown
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
+from rig.sensor import Sensor
 
 COVERAGE = (
     "The reported expanded uncertainty U is the standard uncertainty multiplied by the coverage factor k given with "
@@ -71,7 +72,7 @@ def document(calibration: Calibration) -> Document:
         methods=tuple(dict.fromkeys(r.method for r in calibration.results if r.method)),
         conditions=tuple(_conditions(calibration)),
         warnings=tuple(_warnings(calibration)),
-        remarks=tuple(f"{r.channel}, {r.title}: {_remarks(r)}" for r in _remarked(calibration)),
+        remarks=(*_alike(calibration), *(f"{r.channel}, {r.title}: {_remarks(r)}" for r in _remarked(calibration))),
         missing=tuple((r.channel, r.title, _remarks(r)) for r in calibration.results if not r.determined),
         program=_program(calibration.program),
     )
@@ -169,6 +170,20 @@ def _warnings(calibration: Calibration) -> Iterable[str]:
     if calibration.overdue:
         yield f"Standards used past their due date by explicit order: {', '.join(calibration.overdue)}."
     yield from (printable(flat(flag), "certificate: remark") for flag in calibration.flags)
+
+
+def _alike(calibration: Calibration) -> Iterable[str]:
+    """Channels whose wires no measurement on these benches can tell apart: same axis, same declared sensitivity."""
+    if _imported(calibration):
+        return
+    shown = {r.channel for r in calibration.results if r.determined and r.measurand.startswith("sensitivity")}
+    same: dict[tuple[str, str, float], list[str]] = {}
+    for one in Sensor.stated(calibration.unit).channels:
+        if one.name in shown:
+            same.setdefault((one.quantity, one.axis, one.nominal), []).append(one.name)
+    groups = [" and ".join(names) for names in same.values() if len(names) > 1]
+    if groups:
+        yield f"Taken from the cable table, as no measurement here tells like sensors apart: {'; '.join(groups)}"
 
 
 def _remarked(calibration: Calibration) -> Iterable[Result]:

@@ -12,6 +12,7 @@ from miswired import Poses, Wrong, WrongWorld, mounted, turned
 
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, text
+from rig.certificate.document import document
 from rig.signals.gravity_poses import following
 
 TUMBLE = {"procedure": "tumble", "record": "1 s"}
@@ -110,6 +111,14 @@ def test_a_sensitivity_that_cannot_be_told_from_none_flags_its_channel() -> None
     assert found.value is None or abs(found.value) <= found.expanded
     assert made.result("unit_c_x.noise_bandwidth").status == "flagged"
     assert made.result("unit_b_x.noise_bandwidth").status == "determined"
+
+
+def test_a_certificate_says_which_wires_no_measurement_tells_apart() -> None:
+    """Swapped, both are silently wrong by what the two differ: the cable table alone knows."""
+    said, *_ = document(concluded(SWEEP, Wrong())).remarks
+    assert said.startswith("Taken from the cable table")
+    assert said.endswith(": unit_a_x and unit_b_x")
+    assert not any("cable table" in one for one in document(concluded(TURNS, Wrong())).remarks)
 
 
 def test_channels_on_one_wire_are_told_by_their_noise() -> None:

@@ -9,7 +9,7 @@ export UV_PYTHON_DOWNLOADS = never
 # The machine's own certificates: a laboratory network may have its own authority.
 export UV_SYSTEM_CERTS = 1
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: demo test check bench study blind fuzz mutants faults real-data pages lock clean
+.PHONY: demo test check bench study blind fuzz mutants faults kills real-data pages lock clean
 
 $(UV):
 	@$(PY) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 needed, this is " + sys.version.split()[0])'
@@ -62,6 +62,9 @@ mutants: $(V)/.dev ## faults planted where promises of safety and durability are
 
 faults: $(V)/.dev ## every fault of a bench that we know, and docs/reference/faults.md (OUT=… JOBS=2 ONLY=…; goes on where it was; half an hour)
 	@$(V)/bin/python tests/fault_matrix.py --out $(or $(OUT),runs/faults) --jobs $(or $(JOBS),2) $(if $(ONLY),--only "$(ONLY)")
+
+kills: $(V)/.dev ## kill every command that writes conclusions at every touch of the file system (three minutes)
+	@$(V)/bin/python tests/crash_points.py
 
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)
 	@$(V)/bin/python tests/real_data.py --data $(or $(DATA),../shared/data)

@@ -52,6 +52,8 @@ MUTANTS = (
            "os.fsync(self._descriptor)\n                os.rename", "os.rename", ARCHIVE, "on_the_disk"),
     Mutant("the name of a block is on the disk", "rig/archive/durable.py",
            "sync_folder(self.path.parent)", "pass", ARCHIVE, "on_the_disk"),
+    Mutant("a file is there as a whole or not at all", "rig/archive/durable.py",
+           'path.with_name(f".{path.name}.part")', "path", "tests/test_crash_points.py", "tears_nothing"),
     Mutant("a line is on the disk within a second", "rig/archive/durable.py",
            "os.fdatasync(self._descriptor)", "pass", ARCHIVE, "without_being_asked"),
     Mutant("the journal is on the disk before the seal", "rig/archive/writer.py",

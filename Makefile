@@ -63,8 +63,9 @@ mutants: $(V)/.dev ## faults planted where promises of safety and durability are
 faults: $(V)/.dev ## every fault of a bench that we know, and docs/reference/faults.md (OUT=… JOBS=2 ONLY=…; goes on where it was; half an hour)
 	@$(V)/bin/python tests/fault_matrix.py --out $(or $(OUT),runs/faults) --jobs $(or $(JOBS),2) $(if $(ONLY),--only "$(ONLY)")
 
-kills: $(V)/.dev ## kill every command that writes conclusions at every touch of the file system (three minutes)
+kills: $(V)/.dev ## every command that concludes killed at every touch of the file system, and a thousand power cuts (five minutes)
 	@$(V)/bin/python tests/crash_points.py
+	@RIG_CUTS=500 $(V)/bin/python -m pytest -q tests/test_power_cuts.py
 
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)
 	@$(V)/bin/python tests/real_data.py --data $(or $(DATA),../shared/data)

@@ -58,8 +58,8 @@ class Runs:
                 writer.note("header", **{**header, "run": path.name, "procedure": procedure, "sequence": number})
         with _on_failure(writer.close), keeping(path):
             writer.sync()
-            sync_folder(path)
-            sync_folder(self.root)
+            for folder in (path, self.root, self.root.parent):  # the first run of a root makes that too
+                sync_folder(folder)
         return writer
 
     def list(self) -> Sequence[Run]:

@@ -63,6 +63,7 @@ class Basis:
             if records.status != "completed":
                 left = "read" if records.status == "damaged" else "measured"
                 yield f"{records.name} is {records.status}: not every point of it was {left}"
+        yield from resting.lines_said(self.noise)
 
 
 def basis_of(runs: Sequence[Recorded], header: Mapping[str, Any], recorder: Recorder) -> Basis:

@@ -7,6 +7,7 @@ rounding taken away; "at rest" alone would not define it, because flicker grows 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from rig.errors import BadInput
 from rig.signals import noise, spectrum, steady_lines
 
 LOWEST = 1.0 / 30.0  # Hz
+FEW = 3  # channels that are said by name
 SHORTEST = 4.0  # s; a shorter record says nothing of a deviation down to 1/30 Hz
 
 
@@ -148,6 +150,17 @@ def _variance(model: noise.NoiseModel, seconds: float) -> float:
     """∫S² df / T above 1/30 Hz or the record's lowest line, V⁴."""
     f: NDArray[np.float64] = np.geomspace(max(LOWEST, 0.5 / seconds), model.rate / 2.0, 2000)
     return float(np.trapezoid(model.density(f) ** 2, f)) / seconds
+
+
+def lines_said(noise_: Mapping[str, Resting]) -> Iterator[str]:
+    """Steady lines that were found in records at rest and taken out, each with the channels that have it."""
+    every = sorted((line.frequency, name) for name, one in noise_.items() for line in one.lines)
+    starts = [n for n, (f, _) in enumerate(every) if not n or f - every[n - 1][0] > steady_lines.REACH]
+    for first, stop in itertools.pairwise([*starts, len(every)]):
+        names = sorted({name for _, name in every[first:stop]})
+        shown = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" if len(names) > FEW else "")
+        mean = sum(f for f, _ in every[first:stop]) / (stop - first)
+        yield f"a steady line at {mean:.4g} Hz in {shown} is not counted as noise"
 
 
 def conditions_of(runs: Sequence[Recorded]) -> dict[str, tuple[float, float, float]]:

@@ -105,6 +105,7 @@ def hummed(amplitude: float) -> Calibration:
 
 def test_hum_on_the_bench_changes_no_noise_that_is_reported_and_is_said() -> None:
     plain = hummed(0.0)
+    assert not any("steady" in one for one in plain.flags)
     for amplitude in (3e-4, 1e-3, 1e-2):
         found = hummed(amplitude)
         for row in found.results:
@@ -113,6 +114,7 @@ def test_hum_on_the_bench_changes_no_noise_that_is_reported_and_is_said() -> Non
             if row.value is not None and before.value is not None:
                 assert abs(row.value - before.value) < before.u
         said = [row for row in found.of("noise_density") if row.channel.startswith("unit")]
+        assert "Hz in unit_a_x, unit_a_y, unit_a_z and " in str(found.flags)
         told = re.compile(r"without the steady lines? at (49\.9\d|50(\.0\d)?) Hz")
         assert sum(any(told.match(one) for one in row.remarks) for row in said) >= (8 if amplitude < 1e-3 else 9)
         assert not any("steady" in one for row in found.of("noise_density") if row not in said for one in row.remarks)

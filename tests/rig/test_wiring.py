@@ -130,6 +130,17 @@ def test_channels_on_one_wire_are_told_by_their_noise() -> None:
     assert made.result("unit_c_x.sensitivity_gravity").status == "determined"
 
 
+def test_one_hum_on_all_wires_is_not_one_wire() -> None:
+    run = fast_bench.measure(NOISE, WrongWorld(3, Wrong()))
+    (name,) = run.arrays
+    codes = run.block(name)
+    wave = np.sin(2.0 * np.pi * 50.0 * np.arange(len(codes)) * 320e-6)
+    run.arrays[name] = [(codes + np.rint(330.0 * wave)[:, None]).astype(np.uint16)]  # 0.1 V
+    made = calibrate([run], "hummed")
+    assert not any("the same noise" in remark for row in made.results for remark in row.remarks)
+    assert any("steady line at 50 Hz" in flag for flag in made.flags)
+
+
 @pytest.mark.parametrize("case", MOUNTS)
 def test_a_mounting_or_a_reference_that_is_another_gives_no_number(case: str) -> None:
     procedure, wrong, keys, why = MOUNTS[case]

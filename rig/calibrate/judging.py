@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from rig.calibrate.calibration import SIGN_REVERSED, Result, rejected, text
+from rig.calibrate.calibration import SIGN_REVERSED, Calibration, Result, rejected, text
 from rig.calibrate.verdict import verdict
 from rig.printed import SHOWN
 from rig.sensor import Sensor
@@ -97,6 +97,16 @@ def _flagged(row: Result, why: str) -> Result:
     if not row.determined or row.status != "determined":
         return row
     return replace(row, status="flagged", remarks=(*row.remarks, why))
+
+
+def like_sensors(calibration: Calibration) -> list[list[str]]:
+    """Channels with a sensitivity, of the same axis and declared sensitivity: swapped, each has the other's value."""
+    shown = {row.channel for row in calibration.results if row.determined and row.measurand.startswith("sensitivity")}
+    same: dict[tuple[str, str, float], list[str]] = {}
+    for one in Sensor.stated(calibration.unit).channels:
+        if one.name in shown:
+            same.setdefault((one.quantity, one.axis, one.nominal), []).append(one.name)
+    return [names for names in same.values() if len(names) > 1]
 
 
 def refused(result: Result, why: str) -> Result:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.calibrate.calibration import Calibration, Result, shown
+from rig.calibrate.judging import like_sensors
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
-from rig.sensor import Sensor
 
 COVERAGE = (
     "The reported expanded uncertainty U is the standard uncertainty multiplied by the coverage factor k given with "
@@ -173,15 +173,8 @@ def _warnings(calibration: Calibration) -> Iterable[str]:
 
 
 def _alike(calibration: Calibration) -> Iterable[str]:
-    """Channels whose wires no measurement on these benches can tell apart: same axis, same declared sensitivity."""
-    if _imported(calibration):
-        return
-    shown = {r.channel for r in calibration.results if r.determined and r.measurand.startswith("sensitivity")}
-    same: dict[tuple[str, str, float], list[str]] = {}
-    for one in Sensor.stated(calibration.unit).channels:
-        if one.name in shown:
-            same.setdefault((one.quantity, one.axis, one.nominal), []).append(one.name)
-    groups = [" and ".join(names) for names in same.values() if len(names) > 1]
+    """Channels whose wires no measurement on these benches can tell apart."""
+    groups = [] if _imported(calibration) else [" and ".join(names) for names in like_sensors(calibration)]
     if groups:
         yield f"Taken from the cable table, as no measurement here tells like sensors apart: {'; '.join(groups)}"
 

@@ -63,8 +63,9 @@ mutants: $(V)/.dev ## faults planted where promises of safety and durability are
 faults: $(V)/.dev ## every fault of a bench that we know, and docs/reference/faults.md (OUT=… JOBS=2 ONLY=…; goes on where it was; half an hour)
 	@$(V)/bin/python tests/fault_matrix.py --out $(or $(OUT),runs/faults) --jobs $(or $(JOBS),2) $(if $(ONLY),--only "$(ONLY)")
 
-kills: $(V)/.dev ## every command that concludes killed at every touch of the file system, and a thousand power cuts (five minutes)
+kills: $(V)/.dev ## commands killed at every touch of the file system or at random (N=100), and a thousand power cuts (twenty minutes)
 	@$(V)/bin/python tests/crash_points.py
+	@$(V)/bin/python tests/random_kills.py $(or $(N),100)
 	@RIG_CUTS=500 $(V)/bin/python -m pytest -q tests/test_power_cuts.py
 
 real-data: $(V)/.dev ## docs/real-data.md from other people's measurements (DATA=FOLDER, default ../shared/data; five minutes)

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from rig.bench import control
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded: as the program and the Makefile have it
+
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")  # no test asks how fast the machine is
 
 CLEAN = Path(__file__).parents[1] / "configs" / "worlds" / "clean.yaml"
 HERE = Path(__file__).parent

@@ -44,7 +44,7 @@ def _resting(run: str, one: AtRest) -> Resting | None:
     lines, fitted = one.spectrum.lines, one.spectrum.fitted
     value, dof, reason = deviation(lines, fitted, one.spectrum.step)
     steady = one.spectrum.steady
-    return Resting(one.channel, run, one.table, lines.seconds, fitted, value, dof, reason, steady)
+    return Resting(one.channel, run, one.table, lines.seconds, fitted, value, dof, reason, steady, one.unit)
 
 
 def _scale(channel: SensorChannel, column: Column, own: Result | None) -> Scale:

@@ -76,37 +76,44 @@ def scales_of(sensor: Sensor, sensitivities: Iterable[Result]) -> dict[str, Scal
 
 def _noise_of(sensor: SensorChannel, noise: Resting, by: Scale) -> Iterator[Result]:
     how = f"record of {noise.seconds:.4g} s at rest ({noise.run})"
-    by = replace(by, remarks=(*by.remarks, *_lines_of(noise, sensor, by)))
-    title = DEVIATION
+    title, lines = DEVIATION, tuple(_lines_of(noise))
     if noise.deviation is None:
         yield not_determined(sensor.name, "deviation", title, sensor.unit, noise.reason)
     else:
-        yield by.result(
-            sensor, "deviation", title, sensor.unit, noise.deviation, u_deviation(noise.deviation, noise.dof), how
-        )
-    found = coefficients(noise.fit)
+        u = u_deviation(noise.deviation, noise.dof)
+        found = by.result(sensor, "deviation", title, sensor.unit, noise.deviation, u, how)
+        yield replace(found, remarks=(*found.remarks, *lines))
+    known = coefficients(noise.fit)
     for measurand, key, title, unit in (
         ("noise_density", "N", "noise density at low frequency, N (two-sided root)", f"({sensor.unit})/√Hz"),
         ("bias_instability", "B", "bias instability, B", sensor.unit),
         ("random_walk", "K", "random walk of the output, K", RANDOM_WALK[sensor.quantity]),
     ):
-        one = found[key]
+        one = known[key]
         if one.value is None or one.u is None:
             yield not_determined(sensor.name, measurand, title, unit, one.reason)
         else:
             result = by.result(sensor, measurand, title, unit, one.value, one.u, how)
-            yield _beside_sheet(result, sensor.noise) if key == "N" else result
+            if key == "N":
+                result = _beside_sheet(result, sensor.noise)
+                result = result if noise.deviation else replace(result, remarks=(*result.remarks, *lines))
+            yield result
     yield _bandwidth(sensor, noise, how)
 
 
-def _lines_of(noise: Resting, sensor: SensorChannel, by: Scale) -> Iterator[str]:
-    """What is said of steady lines that are no part of the noise, the strongest first."""
+def _lines_of(noise: Resting) -> Iterator[str]:
+    """What is said of steady lines that are no part of the noise, the strongest first, as large as they are recorded:
+    hum on a wire is nothing that the sensor feels.
+    """
     strongest = sorted(noise.lines, key=lambda line: -line.rms)
-    sizes = [units.format_quantity(one.rms / abs(by.sensitivity), sensor.quantity, 3) for one in strongest]
-    said = [f"{one.frequency:.4g} Hz ({size} rms)" for one, size in zip(strongest, sizes, strict=True)]
+    said = [f"{one.frequency:.4g} Hz ({_size(one.rms, noise.unit)} rms)" for one in strongest]
     if said:
         more = f" and {len(said) - FEW} more" if len(said) > FEW else ""
         yield f"without the steady {'line' if len(said) == 1 else 'lines'} at {', '.join(said[:FEW])}{more}"
+
+
+def _size(rms: float, unit: str) -> str:
+    return units.format_quantity(rms, "voltage", 3) if unit == "V" else f"{rms:.3g} {unit}"
 
 
 def _beside_sheet(result: Result, sheet: SheetNoise | None) -> Result:

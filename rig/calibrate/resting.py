@@ -1,7 +1,8 @@
 """Noise of every channel from records at rest: the spectrum's model, and the deviation that a data sheet would state.
 
 The deviation is the standard deviation of the output between 1/30 Hz and half the sampling rate with the converter's
-rounding taken away; "at rest" alone would not define it, because flicker grows with the length of the record.
+rounding and steady lines taken away; "at rest" alone would not define it, because flicker grows with the length of the
+record, and hum is the bench's.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Resting:
     """Noise of one channel, in volts.
 
     `deviation` (V rms) with its degrees of freedom, or None with the reason; `fit` is the spectrum's model. `lines`,
-    V rms, stand in neither.
+    which stand in neither, are in `unit`.
     """
 
     channel: str
@@ -43,6 +44,7 @@ class Resting:
     dof: float
     reason: str = ""
     lines: tuple[steady_lines.SteadyLine, ...] = ()
+    unit: str = "V"
 
     @property
     def slow(self) -> noise.NoiseModel:
@@ -153,14 +155,17 @@ def _variance(model: noise.NoiseModel, seconds: float) -> float:
 
 
 def lines_said(noise_: Mapping[str, Resting]) -> Iterator[str]:
-    """Steady lines that were found in records at rest and taken out, each with the channels that have it."""
+    """Steady lines that were taken out of records at rest, with the channels that have them, in one sentence."""
     every = sorted((line.frequency, name) for name, one in noise_.items() for line in one.lines)
     starts = [n for n, (f, _) in enumerate(every) if not n or f - every[n - 1][0] > steady_lines.REACH]
+    said = []
     for first, stop in itertools.pairwise([*starts, len(every)]):
         names = sorted({name for _, name in every[first:stop]})
         shown = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" if len(names) > FEW else "")
         mean = sum(f for f, _ in every[first:stop]) / (stop - first)
-        yield f"a steady line at {mean:.4g} Hz in {shown} is not counted as noise"
+        said.append(f"{mean:.4g} Hz ({shown})")
+    if said:
+        yield f"steady lines are not counted as noise: {'; '.join(said)}"
 
 
 def conditions_of(runs: Sequence[Recorded]) -> dict[str, tuple[float, float, float]]:

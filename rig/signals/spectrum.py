@@ -187,6 +187,16 @@ class Periodogram:
         """Sampling rate, Hz."""
         return self._rate
 
+    @property
+    def samples(self) -> int:
+        """How many were fed."""
+        return self._samples
+
+    @property
+    def seconds(self) -> float:
+        """Length of the record so far."""
+        return self._samples / self._rate
+
     def powers(self) -> tuple[Array, Array, int]:
         """Frequencies (n,) in Hz of cosine lines, powers (n,) in unit²/Hz, and of how many stretches these are means.
 
@@ -246,7 +256,8 @@ class Periodogram:
         tail = self._rest[: self._rest.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
         means = np.concatenate([*self._means, tail])
         frequency, lines, ramp = _cosine_lines(means, self._rate / BLOCK)
-        middle = frequency < SKIPPED * self._rate / (2 * SEGMENT)
+        kept = self._kept(frequency)
+        middle = kept & (frequency < SKIPPED * self._rate / (2 * SEGMENT))
         middle[:LOW_LINES] = False
         slow = log_bins(frequency[middle], lines[middle] ** 2, self._per_decade)
         k = np.arange(SKIPPED, SEGMENT)
@@ -258,7 +269,7 @@ class Periodogram:
             np.concatenate([slow.density, fast.density]),
             np.concatenate([slow.dof, fast.dof]),
         )
-        low = slice(0, LOW_LINES)
+        low = np.flatnonzero(kept[:LOW_LINES])
         seconds = means.size * BLOCK / self._rate
         return Lines(self._rate, seconds, frequency[low], lines[low], ramp[low], _above(high), variance)
 

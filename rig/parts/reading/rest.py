@@ -18,8 +18,8 @@ from rig.motion import Array
 from rig.signals import noise
 from rig.signals.noise import Coefficient, NoiseFit
 from rig.signals.noise_at_rest import step_of
-from rig.signals.spectrum import Lines
-from rig.signals.steady_lines import SteadyLine, lines_without
+from rig.signals.spectrum import Lines, Periodogram
+from rig.signals.steady_lines import SteadyLine, without_lines
 
 LEAST_STEPS = 0.5  # standard deviation of noise in steps: from there rounding adds its twelfth to within some per cent
 MOST = 0.5  # of the rows in one stretch without a gap: then it is the record
@@ -99,10 +99,11 @@ def _known(foreign: Foreign, table: Table, column: Column, unit: str) -> AtRest:
     _refuse_few_codes(values, step := step_of(values), unit)
     rate = 1.0 / _interval(time)
     together = _longest(time)
-    found = _spectrum(values[together], rate, step)
+    glued = together == slice(None) and bool(_apart(time).any())
+    found = _spectrum(values[together], rate, step, glued)
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     known = dict(noise.coefficients(found.fitted))
-    if together == slice(None) and _apart(time).any():
+    if glued:
         known = {name: one for name, one in known.items() if name not in SLOW}
     return AtRest(table.label, column.channel, unit, mean, deviation, known, found)
 
@@ -119,8 +120,11 @@ def _refuse_few_codes(values: Array, step: float, unit: str) -> None:
         raise BadInput(f"found a scatter of {scatter / step:.2g} steps, rounding among it, {wanted}")
 
 
-def _spectrum(values: Array, rate: float, step: float) -> Spectrum:
-    lines, steady = lines_without(values, rate)
+def _spectrum(values: Array, rate: float, step: float, glued: bool) -> Spectrum:
+    """Steady lines are looked for where time goes on evenly: rows glued over gaps make many of one."""
+    heard = Periodogram(rate)
+    heard.feed(values)
+    lines, steady = (heard.result(), ()) if glued else without_lines(heard, lambda: [values])
     return Spectrum(lines, noise.fit_blocks(lines, step=step, pole=None, ramp=True), step, steady)
 
 

@@ -234,18 +234,24 @@ def motion_noise_result(
 ) -> Result:
     """Noise while the sensor moves: what the fits of all sines leave over, above the reciprocal of a record.
 
-    Flagged where that is no noise: a sample stands out of it, or the sines themselves do not follow the model `found`.
+    Flagged where not all of it need be noise: a sample stands out, or the points do not follow the model `found`.
     """
-    good = [p.lines[channel] for p in points if channel in p.lines and not p.flags and not p.lines[channel].flags]
+    usable = [p for p in points if channel in p.lines and not p.flags and not p.lines[channel].flags]
+    good = [p.lines[channel] for p in usable]
     squares = np.array([line.residual_rms**2 - line.step**2 / 12.0 for line in good])
     value = math.sqrt(max(float(squares.mean()), 0.0))
     u = float(squares.std(ddof=1)) / math.sqrt(len(good)) / (2.0 * value) if value > 0.0 else 0.0
     title = "deviation in motion: output less the fitted sines, above the reciprocal of a record"
     result = refer("deviation_in_motion", title, unit, value, u, f"residuals of {len(good)} sine fits")
-    crest = max((line.crest for line in good), default=0.0)
-    alone = (f"a sample is {crest:.0f} times their deviation off what else the sines leave over: it is no noise",)
-    said = (*found.misfit.remarks, *(alone if crest > CREST else ()))
-    return replace(result, status="flagged", remarks=(*result.remarks, *said)) if said else result
+    said = list(result.remarks)
+    if found.misfit.status == "flagged":
+        said.append("the points do not follow a one-pole response: what the sines leave over need not all be noise")
+    worst = max(usable, key=lambda p: p.lines[channel].crest, default=None)
+    if worst is not None and (crest := worst.lines[channel].crest) > CREST:
+        said.append(
+            f"{worst.frequency:.4g} Hz ({worst.run}): a sample is {crest:.0f} standard deviations off: no noise"
+        )
+    return replace(result, status="flagged", remarks=tuple(said)) if len(said) > len(result.remarks) else result
 
 
 def remount_of(fits: Mapping[str, Sequence[ChannelFit]]) -> Contribution | None:

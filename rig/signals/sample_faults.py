@@ -27,7 +27,7 @@ WINDOWS = 4  # side by side, each with both values of a bit
 EDGE = 8  # parts of half a window, of which the one beside an empty half is looked at
 ABRUPT = 0.25  # of what it would hold if all did alike
 JUMPS = 1e-3  # share of steps that jump by a bit
-STILL = 1.0 / 3.0  # of a bit, standard deviation of the others
+STILL = 0.2  # of a bit, standard deviation of the others: two or three points of a sine leave more
 ALIKE = 1.5  # times that, of what jumps are off a bit
 FEWEST = 16  # samples that say something
 
@@ -187,7 +187,7 @@ def _torn(codes: Codes, bit: int, window: int) -> bool:
 def _jumps(steps: NDArray[np.int64], size: int) -> bool:
     """Whether the steps from sample to sample are as large as a bit, give or take what they are otherwise, or small."""
     jumps = np.abs(steps) > size // 2
-    if np.count_nonzero(jumps) < max(PILE, JUMPS * len(steps)):
+    if np.count_nonzero(jumps) < max(PILE, JUMPS * len(steps)) or jumps.all():
         return False
     small = max(float(np.std(steps[~jumps])), 0.5)
     left = np.abs(steps[jumps]) - size

@@ -15,7 +15,7 @@ from dataclasses import replace
 from rig.calibrate.calibration import SIGN_REVERSED, Calibration, Result, rejected, text
 from rig.calibrate.verdict import verdict
 from rig.printed import SHOWN
-from rig.sensor import Sensor
+from rig.sensor import Sensor, SensorChannel
 
 COUPLING = ("cross_axis_", "cross_coupling_")
 MOST_COUPLING = 0.5  # of what a channel shows along its own axis; real ones are below a tenth
@@ -100,13 +100,22 @@ def _flagged(row: Result, why: str) -> Result:
 
 
 def like_sensors(calibration: Calibration) -> list[list[str]]:
-    """Channels with a sensitivity, of the same axis and declared sensitivity: swapped, each has the other's value."""
+    """Channels with a sensitivity, of one axis and of declared sensitivities within their tolerance: swapped, each has
+    the other's value, and nothing tells.
+    """
     shown = {row.channel for row in calibration.results if row.determined and row.measurand.startswith("sensitivity")}
-    same: dict[tuple[str, str, float], list[str]] = {}
+    groups: list[list[SensorChannel]] = []
     for one in Sensor.stated(calibration.unit).channels:
         if one.name in shown:
-            same.setdefault((one.quantity, one.axis, one.nominal), []).append(one.name)
-    return [names for names in same.values() if len(names) > 1]
+            like = next((group for group in groups if _like(group[0], one)), None)
+            groups.append([one]) if like is None else like.append(one)
+    return [[one.name for one in group] for group in groups if len(group) > 1]
+
+
+def _like(one: SensorChannel, other: SensorChannel) -> bool:
+    apart = abs(one.nominal - other.nominal)
+    tolerated = max((c.tolerance or 0.0) * abs(c.nominal) for c in (one, other))
+    return (one.quantity, one.axis) == (other.quantity, other.axis) and apart <= tolerated
 
 
 def refused(result: Result, why: str) -> Result:

@@ -168,7 +168,7 @@ def _faults_of(run: Recorded, sensor: Sensor, recorder: Recorder) -> Iterator[Fo
             for column, name in enumerate(names):
                 if name in watched:
                     pieces.setdefault(name, []).append(faults(counts[:, column]))
-            if at_rest:
+            if at_rest and len(counts) > ENOUGH:
                 alike.append(_alike([name for name in names if name in sensor], names, counts))
         label = str(body.get("label", body.get("samples", "")))
         for name, several in pieces.items():
@@ -180,7 +180,7 @@ def _faults_of(run: Recorded, sensor: Sensor, recorder: Recorder) -> Iterator[Fo
 def _alike(wanted: Sequence[str], names: Sequence[str], counts: NDArray[np.uint16]) -> dict[str, set[str]]:
     """Of each channel, those whose noise is its own: steps from sample to sample, in which a floor hardly shakes.
 
-    Lines that stand out of a channel's spectrum are cut to what is around them: one hum on all wires is not one wire.
+    Whatever stands out of a channel's spectrum is cut to what is around it: one hum on all wires is not one wire.
     """
     steps = np.diff(counts[:, [names.index(name) for name in wanted]].astype(np.float64), axis=0)
     moving = [n for n in range(len(wanted)) if len(steps) >= ENOUGH and steps[:, n].any()]

@@ -99,7 +99,7 @@ def _child(words: Sequence[str], folder: Path, touch: int, tell: int) -> int:
     def heard(event: str, told: tuple[Any, ...]) -> None:
         if event == "open" and isinstance(told[0], str) and isinstance(told[2], int) and told[2] & WRITING:
             path: Any = told[0]
-        elif event in TOUCHES:
+        elif event in TOUCHES and not isinstance(told[TOUCHES[event]], int):
             path = told[TOUCHES[event]]
         else:
             return
@@ -135,6 +135,7 @@ def left(name: str, before: Path, few: bool) -> Iterator[Left]:
             wrong = list(_wrong(before, whole, folder))
             if (code := died(words, folder, 0)[0]) != 0:
                 wrong.append(f"the same command again ends with {code}")
+            wrong += [f"{path}: not there after the same command" for path in _lacking(before, whole, folder)]
             wrong += _unsound(folder)
             yield Left(touch, tuple(wrong))
             shutil.rmtree(folder)
@@ -153,6 +154,12 @@ def _wrong(before: Path, whole: Path, folder: Path) -> Iterator[str]:
             continue
         if found.get(path) not in (was.get(path), would.get(path)):
             yield f"{path}: neither as it was nor as it is to be"
+
+
+def _lacking(before: Path, whole: Path, folder: Path) -> list[str]:
+    """Files that the command makes, and that are not there."""
+    made = _contents(whole).keys() - _contents(before).keys() - _contents(folder).keys()
+    return [path for path in made if not RUN.match(path)]
 
 
 def _contents(folder: Path) -> dict[str, str]:

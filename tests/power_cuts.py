@@ -2,8 +2,8 @@
 
 Nothing is taken for granted but what POSIX promises. What was written to a file since its last sync is there up to some
 byte; or, where there may be holes, each write by itself is there, lost, cut short, or zeros with what came later behind
-it. Names made, changed and removed in a folder since its last sync are there up to some moment. `faults` says what is
-not as promised: the lines that were on the disk, whatever else was not.
+it. Names made and changed in a folder since its last sync are there up to some moment. `faults` says what is not as
+promised: the lines that were on the disk, whatever else was not, and that a run is over if its seal was.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from rig.archive.reader import Run
+from rig.archive.reader import SEAL, Run
 from rig.archive.runs import Runs
 
 
@@ -88,6 +88,12 @@ class Disk:
             if isinstance(made, _Folder)
             else []
         )
+
+    def sealed(self, moment: int, name: str) -> bool:
+        """Whether the seal of a run was on the disk by then."""
+        folder = self._tree.names(moment)["runs"].names(moment)[name]  # type: ignore[union-attr]
+        assert isinstance(folder, _Folder)
+        return SEAL in folder.names(max((when for when in folder.synced if when < moment), default=0))
 
     def promised(self, moment: int, journal: str) -> list[Mapping[str, Any]]:
         """Lines of a journal that were on the disk by then: written whole, and synced afterwards."""
@@ -177,6 +183,18 @@ class Disk:
             self._plain["close"](descriptor)
             self._handles.pop(descriptor, None)
 
+    def _unlink(self, path: Any, **named: Any) -> None:
+        assert self._place(path) is None, "a file that goes"
+        self._plain["unlink"](path, **named)
+
+    def _truncate(self, path: Any, length: int) -> None:
+        assert self._place(path) is None, "a file cut short"
+        self._plain["truncate"](path, length)
+
+    def _ftruncate(self, descriptor: int, length: int) -> None:
+        assert descriptor not in self._handles, "a file cut short"
+        self._plain["ftruncate"](descriptor, length)
+
     def _mkdir(self, path: Any, *more: Any, **named: Any) -> None:
         with self._lock:
             self._plain["mkdir"](path, *more, **named)
@@ -216,7 +234,7 @@ def _content(file: _File, cut: Cut) -> bytes:
     return bytes(found)
 
 
-WATCHED = ("open", "write", "fsync", "fdatasync", "close", "mkdir", "rename")
+WATCHED = ("open", "write", "fsync", "fdatasync", "close", "mkdir", "rename", "unlink", "truncate", "ftruncate")
 
 
 def faults(disk: Disk, cut: Cut, folder: Path) -> Iterator[str]:
@@ -230,6 +248,8 @@ def faults(disk: Disk, cut: Cut, folder: Path) -> Iterator[str]:
             yield f"{name}: gone with {len(promised)} lines"
         elif found is not None and promised:
             yield from _faults_of(archive, found, promised, cut.holes)
+            if disk.sealed(cut.moment, name) and Run(found.path).status != "completed":
+                yield f"{name} is {Run(found.path).status}: its seal was on the disk"
 
 
 def _faults_of(archive: Runs, run: Run, promised: Sequence[Mapping[str, Any]], holes: bool) -> Iterator[str]:

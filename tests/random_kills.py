@@ -44,23 +44,32 @@ def _begun(words: Sequence[str], folder: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def _killed(words: Sequence[str], folder: Path, rng: random.Random, lasts: float) -> Iterator[str]:
-    """What is wrong after a command was ended at a moment of the time that it takes."""
+def _killed(words: Sequence[str], folder: Path, rng: random.Random, lasts: float) -> tuple[str, list[str]]:
+    """How a command was ended at a moment of the time that it takes, and what was wrong afterwards."""
     number, before = rng.choice(SIGNALS), _points(folder)
     program = _begun(words, folder)
     over = time.monotonic() + rng.uniform(0.0, lasts)
     while program.poll() is None and time.monotonic() < over:
         before = _points(folder)
         time.sleep(0.01)
+    ended = program.poll() is not None
     program.send_signal(number)
     _, said = program.communicate(timeout=LONGEST)
-    if "Traceback" in said:
-        yield f"a traceback: {said}"
+    wrong = list(_wrong(folder, before))
+    if "Traceback" in said or (ended and program.returncode):
+        wrong.append(f"ended with {program.returncode}: {said}")
+    return "over before" if ended else number.name, wrong
+
+
+def _wrong(folder: Path, before: set[int]) -> Iterator[str]:
+    """What is not as it must be of the runs of a folder, in the last of which these points were done."""
     for run in Runs(folder / "runs").list():
         if run.status not in ("interrupted", "completed"):
             yield f"{run.name} is {run.status}"
         if wrong := run.verify():
             yield f"{run.name}: {wrong}"
+        if run.status == "completed" and len(run.points()) != run.header["points_total"]:
+            yield f"{run.name} is completed with {len(run.points())} of {run.header['points_total']} points"
         if lost := before - set(run.points()):
             yield f"{run.name}: lost {sorted(lost)}"
 
@@ -70,25 +79,25 @@ def _points(folder: Path) -> set[int]:
     return set(runs[-1].points()) if runs else set()
 
 
-def trial(number: int, seed: int, lasts: dict[tuple[str, ...], float]) -> tuple[str, list[str]]:
+def trial(number: int, seed: int, lasts: dict[tuple[str, ...], float]) -> tuple[list[str], list[str]]:
     """One command, killed, perhaps killed again as it goes on, and brought to its end: what was wrong."""
     rng = random.Random(f"{seed} {number}")
     words = COMMANDS[number % len(COMMANDS)]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         (folder / "sequence.yaml").write_text(SEQUENCE, encoding="utf-8")
-        wrong = list(_killed(words, folder, rng, lasts[words]))
-        kind = f"{words[0]}, {len(_points(folder))} points done"
+        how, wrong = _killed(words, folder, rng, lasts[words])
+        kinds = [f"{words[0]}: {how}, {len(_points(folder))} points done"]
         while (run := _interrupted(folder)) is not None and rng.random() < 0.3:
-            kind += ", again"
-            wrong += _killed(("resume", run.name), folder, rng, lasts[words])
+            how, more = _killed(("resume", run.name), folder, rng, lasts[words])
+            kinds, wrong = [*kinds, f"resume: {how}"], wrong + more
         if (run := _interrupted(folder)) is not None:
             resumed = _begun(("resume", run.name), folder)
             _, said = resumed.communicate(timeout=LONGEST)
-            if resumed.returncode or run.status != "completed" or run.verify():
-                wrong.append(f"resume ended with {resumed.returncode}, {run.status}: {said}")
+            if resumed.returncode or run.status != "completed" or run.verify() or run.not_safe:
+                wrong.append(f"resume ended with {resumed.returncode}, {run.status}, {run.not_safe}: {said}")
         stop(folder / "runs" / ".bench" / "simulated")
-    return kind, wrong
+    return kinds, wrong
 
 
 def _interrupted(folder: Path) -> Run | None:
@@ -114,16 +123,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     lasts = {words: _duration(words) for words in COMMANDS}
-    faults, kinds = 0, Counter[str]()
+    faults, killed = 0, Counter[str]()
     with ThreadPoolExecutor(2) as pool:
         made = pool.map(partial(trial, seed=options.seed, lasts=lasts), range(options.count))
-        for number, (kind, wrong) in enumerate(made):
+        for number, (kinds, wrong) in enumerate(made):
             faults += len(wrong)
-            kinds[kind] += 1
-            print(
-                "\n".join([f"{number + 1:>4} of {options.count}  {kind}", *(f"  {one}" for one in wrong)]), flush=True
-            )
-    print(f"{options.count} killed, {faults} faults")
+            killed.update(kind.partition(": ")[0] for kind in kinds if "over before" not in kind)
+            print("\n  ".join([f"{number + 1:>4} of {options.count}  {'; '.join(kinds)}", *wrong]), flush=True)
+    print(f"killed at work: {dict(killed)}, {killed.total()} in all; {faults} faults")
     return 1 if faults else 0
 
 

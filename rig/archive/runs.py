@@ -45,6 +45,7 @@ class Runs:
 
         `header` should have `simulated` (bool) and `points_total` (int). Raises ArchiveError.
         """
+        new = [one for one in (self.root, *self.root.parents) if not one.is_dir()]
         with keeping(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
         with keeping(self.root), waited_for(self.root / ".lock"):
@@ -58,7 +59,7 @@ class Runs:
                 writer.note("header", **{**header, "run": path.name, "procedure": procedure, "sequence": number})
         with _on_failure(writer.close), keeping(path):
             writer.sync()
-            for folder in (path, self.root, self.root.parent):  # the first run of a root makes that too
+            for folder in (path, self.root, *(one.parent for one in new)):  # the first run of a root makes that too
                 sync_folder(folder)
         return writer
 

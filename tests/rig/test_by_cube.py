@@ -55,9 +55,11 @@ def made(seed: int, recorder: str = "cube") -> Calibration:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_values_stand_on_the_model_and_on_a_direct_estimate(seed: int) -> None:
-    """Of every world by itself, so that each has its own time to be made in."""
+    """Of every world in a test of its own: four in one take longer than a test may on a busy machine."""
     for measurand in TRUTH:
-        for result in made(seed).of(measurand):
+        results = list(made(seed).of(measurand))
+        assert len(results) >= 2
+        for result in results:
             assert result.check is not None
             assert not any("leaves more than noise" in said for said in result.remarks)
             assert result.value is not None

@@ -56,8 +56,11 @@ def _reversed(result: Result, nominal: float) -> str:
 def believed(results: Iterable[Result], sensor: Sensor) -> Iterator[Result]:
     """The results judged against the sensor file; those that cannot be what they are called without their value."""
     rows = [_judged_by(result, sensor) for result in results]
-    suspected = {key: why for group in _groups(rows, sensor) for key, why in _common(group, sensor).items()}
+    groups = list(_groups(rows, sensor))
+    suspected = {key: why for group in groups for key, why in _common(group, sensor).items()}
+    doubted = {key: why for group in groups for key, why in _drawn_in(group, sensor).items()}
     rows = [refused(row, suspected[row.key]) if row.key in suspected else row for row in rows]
+    rows = [_flagged(row, doubted[row.key]) if row.key in doubted else row for row in rows]
     noisy, others = dict(_noisy(rows, sensor)), dict(_others(rows, sensor))
     shown = {row.channel for row in rows if row.measurand in SENSITIVITIES and row.determined}
     for row in rows:
@@ -142,18 +145,35 @@ def _judged_by(result: Result, sensor: Sensor) -> Result:
 
 
 def _groups(rows: Iterable[Result], sensor: Sensor) -> Iterator[list[Result]]:
-    """Failures of one measurand along one axis."""
+    """What is judged of one measurand along one axis."""
     found: dict[tuple[str, str, str], list[Result]] = {}
     for row in rows:
-        if row.verdict == "fail" and row.value is not None and row.channel in sensor:
+        if row.verdict is not None and row.value is not None and row.channel in sensor:
             channel = sensor.channel(row.channel)
             found.setdefault((row.measurand, channel.quantity, channel.axis), []).append(row)
     yield from found.values()
 
 
-def _common(failed: list[Result], sensor: Sensor) -> dict[str, str]:
+def _factors(group: Iterable[Result], sensor: Sensor) -> list[float]:
+    return [float(row.value or 0.0) / sensor.channel(row.channel).nominal for row in group]
+
+
+def _drawn_in(group: list[Result], sensor: Sensor) -> dict[str, str]:
+    """Why those that did not fail are doubted where another did and all are off by one factor, by key."""
+    failed, factors = [row for row in group if row.verdict == "fail"], _factors(group, sensor)
+    units = {sensor.channel(row.channel).triad for row in group}
+    mean = sum(factors) / len(factors)
+    off = min(abs(one - 1.0) for one in factors)
+    if not failed or len(units) < 2 or off < 0.5 * ALIKE or max(factors) - min(factors) > ALIKE * abs(mean):
+        return {}
+    why = f"{failed[0].channel} fails, and all units are about {mean:.3g} times as declared: the reference may be off"
+    return {row.key: why for row in group if row.verdict != "fail"}
+
+
+def _common(group: list[Result], sensor: Sensor) -> dict[str, str]:
     """Why several units that fail by one factor are not believed, by key; nothing if they do not."""
-    factors = [float(row.value or 0.0) / sensor.channel(row.channel).nominal for row in failed]
+    failed = [row for row in group if row.verdict == "fail"]
+    factors = _factors(failed, sensor)
     units = {sensor.channel(row.channel).triad for row in failed}
     mean = sum(factors) / max(len(factors), 1)
     if len(units) < 2 or max(factors) - min(factors) > ALIKE * abs(mean):

@@ -130,6 +130,18 @@ def test_channels_on_one_wire_are_told_by_their_noise() -> None:
     assert made.result("unit_c_x.sensitivity_gravity").status == "determined"
 
 
+def test_units_within_their_tolerance_are_doubted_where_one_fails_by_the_factor_of_all() -> None:
+    """Of three units one fails where the vibrometer tells 5 % more: the widest tolerance takes it in."""
+    made = concluded({**SWEEP, "points": 4}, Wrong(gain={"ldv": 1.05}))
+    rows = {row.channel: row for row in made.of("sensitivity")}
+    assert rows["unit_b_x"].verdict == "fail"
+    for name in ("unit_a_x", "unit_c_x"):
+        assert rows[name].status == "flagged"
+        assert "the reference may be off" in rows[name].remarks[-1]
+    clean = concluded({**SWEEP, "points": 4}, Wrong())
+    assert all(row.status == "determined" for row in clean.of("sensitivity"))
+
+
 def test_one_hum_on_all_wires_is_not_one_wire() -> None:
     run = fast_bench.measure(NOISE, WrongWorld(3, Wrong()))
     (name,) = run.arrays

@@ -28,6 +28,7 @@ from typing import Literal
 from rig.errors import BenchHeld, WorkFailed
 
 _GUARD_ACTS = 15.0  # s of real time that the guard of a dead program may still need
+_SAYS = 1.0  # s within which the holder of a lock says who it is
 _OVER_TCP = re.compile(r"(?:PRLGX-TCPIP\d*::|TCPIP\d*::|socket://)?([^:/\s]+):{1,2}(\d+)(?:::(?:INTFC|SOCKET))?", re.I)
 _DEVICE = re.compile(r"(/[^:]+)")
 
@@ -141,7 +142,7 @@ def _take(taken: Possession, path: Path, passing: bool) -> None:
         if descriptor is None:
             return
     if descriptor is None:
-        raise _held(taken, _holder(path))
+        raise _held(taken, _holder_soon(path))
     taken.locks.append(path)
     taken.descriptors.append(descriptor)
     os.ftruncate(descriptor, 0)
@@ -204,6 +205,14 @@ def _made(where: Path) -> Path:
         where.mkdir()
         where.chmod(0o1777)
     return where
+
+
+def _holder_soon(path: Path) -> Holder | None:
+    """Who has a lock, waited for over the instant between taking it and saying so, which a busy machine stretches."""
+    until = time.monotonic() + _SAYS
+    while (holder := _holder(path)) is None and time.monotonic() < until:
+        time.sleep(0.01)
+    return holder
 
 
 def _holder(path: Path) -> Holder | None:

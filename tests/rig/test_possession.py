@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,6 +73,19 @@ def test_a_bench_that_shares_one_instrument_is_refused_with_who_has_it() -> None
         pass
     with possessed("yours", ["/dev/ttyUSB5", GATEWAY]):
         pass  # what was had in vain was given back
+
+
+def test_who_has_a_bench_is_told_although_it_has_not_said_so_yet() -> None:
+    """Between taking a lock and saying so a busy machine may let another program look."""
+    with other("socket://localhost:4001"):
+        (path,) = folder().glob("*.lock")
+        said = path.read_bytes()
+        path.write_bytes(b"")
+        late = threading.Timer(0.2, path.write_bytes, (said,))
+        late.start()
+        with pytest.raises(BenchHeld, match=r"found it held by process \d+"), possessed("mine", ["127.0.0.1:4001"]):
+            pass
+        late.join()
 
 
 def test_a_bench_is_free_as_soon_as_its_driver_was_killed() -> None:

@@ -3,7 +3,8 @@
 A line is no density: a fit that meets one bends every term of its model. It stands out where the power of cosine lines,
 averaged over stretches of the record, is further above the median around it than chance explains. From every stretch a
 sine of free frequency is taken (IEEE Std 1057), so that mains that wander are followed; the cosine lines next to it
-lose noise by that and do not count afterwards. What is not as strong in every stretch, as narrow noise is not, stays.
+lose noise by that and do not count afterwards. What is not as strong in every stretch, as narrow noise is not, stays;
+a record of fewer than `TELLING` stretches does not tell the two apart.
 """
 
 from __future__ import annotations

@@ -186,7 +186,8 @@ def _unsound(folder: Path) -> Iterator[str]:
 def main() -> int:
     """Kill what is asked for. Exit 1 if anything is not as it must be."""
     parser = argparse.ArgumentParser(description="Kill every command that concludes at every touch of the file system.")
-    parser.add_argument("only", nargs="*", choices=[*COMMANDS, []], help="commands (all)")
+    every = [*COMMANDS, []]  # an empty list is what argparse makes of no words, and checks too
+    parser.add_argument("only", nargs="*", choices=every, help="commands (all)")
     parser.add_argument("--few", action="store_true", help="in the middle, and at the last three touches")
     options = parser.parse_args()
     faults = 0

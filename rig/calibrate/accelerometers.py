@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.calibrate.adjustment import Adjustment, Prior, adjust
-from rig.calibrate.allowances import Misfit, misfit, temperature
-from rig.calibrate.budget import Budget, Contribution, half_width
+from rig.calibrate.allowances import Misfit, cosine, misfit, temperature
+from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import ResponsePoint, Result, not_determined
 from rig.errors import BadInput
 from rig.parts.reading.vibration import HARMONICS, Chain, SinePoint
@@ -31,6 +31,7 @@ Complexes = NDArray[np.complex128]
 Referred = Callable[[str, str, str, float, float, str], Result]  # measurand, title, unit, V, u, method: to the input
 SENSITIVITY = "V/(m/s²)"
 CREST = 8.0  # of what a fit leaves over, in standard deviations: noise reaches 6.5 in 10¹⁰ samples
+VERIFICATION, DATA_SHEET = "verification of the filter", "data sheet"  # sources of priors
 POLE_PRIOR = 0.5  # of the logarithm: the data sheet's bandwidth within a factor of about two
 
 
@@ -162,7 +163,8 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
     """
     s, adjustment, chain = fit.sensitivity, fit.adjustment, setup.chain
     u_noise = adjustment.u_noise("log_sensitivity") * fit.misfit.factor
-    drifting, remarks = temperature(s, drift, setup.temperature)
+    runs = fit.seen.run
+    drifting, remarks = temperature(s, drift, setup.temperature, runs)
     lines = [
         Contribution("noise of the records", "A", "normal", u_noise, "1", s, _dof(fit), "lines beside each frequency"),
         Contribution(
@@ -170,11 +172,11 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         ),
         Contribution("vibrometer range", "B", "normal", 0.0, "1", s, source="certificate: one gain for all ranges"),
         _prior(fit, "decoder delay", "delay", chain.delay.u, "s", chain.delay.source),
-        _prior(fit, "low-pass cut-off", "cutoff", chain.u_cutoff, "1", "verification of the filter"),
-        _prior(fit, "output filter", "log_pole", POLE_PRIOR, "1", "data sheet"),
+        _prior(fit, "low-pass cut-off", "cutoff", chain.u_cutoff, "1", VERIFICATION),
+        _prior(fit, "output filter", "log_pole", POLE_PRIOR, "1", DATA_SHEET),
         Contribution("time base", "B", "normal", chain.time_base.u, "1", s, source=chain.time_base.source),
-        _cosine("beam to motion", setup.beam, s),
-        _cosine("mounting angle", setup.mount, s),
+        cosine("beam to motion", setup.beam, s, runs),
+        cosine("mounting angle", setup.mount, s, runs),
         *drifting,
         *_clock(fit.seen),
     ]
@@ -221,12 +223,6 @@ def _dof(fit: ChannelFit) -> float:
 def _prior(fit: ChannelFit, name: str, prior: str, u: float, unit: str, source: str) -> Contribution:
     coefficient = fit.sensitivity * fit.adjustment.coefficient("log_sensitivity", prior)
     return Contribution(name, "B", "normal", u, unit, coefficient, source=source)
-
-
-def _cosine(name: str, limit: float, value: float) -> Contribution:
-    """A misalignment of at most `limit` takes up to 1 − cos of it; half of that interval either way."""
-    return Contribution(name, "B", "rectangular", half_width(1.0 - math.cos(limit), "rectangular"), "1", value,
-                        source=f"declared limit {math.degrees(limit):.3g}°")  # fmt: skip
 
 
 def motion_noise_result(
@@ -277,10 +273,13 @@ def remount_of(fits: Mapping[str, Sequence[ChannelFit]]) -> Contribution | None:
     )  # fmt: skip
 
 
-def pole_result(fit: ChannelFit) -> Result:
+def pole_result(fit: ChannelFit, chain: Chain) -> Result:
     """Corner frequency of the output filter."""
     adjustment, pole = fit.adjustment, fit.pole
-    names = {"delay": ("decoder delay", "s"), "cutoff": ("low-pass cut-off", "1"), "log_pole": ("output filter", "1")}
+    names = {
+        "delay": ("decoder delay", "s", chain.delay.source), "cutoff": ("low-pass cut-off", "1", VERIFICATION),
+        "log_pole": ("output filter", "1", DATA_SHEET),
+    }  # fmt: skip
     lines = [
         Contribution(
             "noise of the records",
@@ -292,8 +291,8 @@ def pole_result(fit: ChannelFit) -> Result:
             _dof(fit),
         ),
         *(
-            Contribution(name, "B", "normal", adjustment.priors[prior].u, unit, pole * c)
-            for prior, (name, unit) in names.items()
+            Contribution(name, "B", "normal", adjustment.priors[prior].u, unit, pole * c, source=source)
+            for prior, (name, unit, source) in names.items()
             if (c := adjustment.coefficient("log_pole", prior))
         ),
     ]

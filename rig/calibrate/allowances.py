@@ -1,8 +1,9 @@
-"""What every result allows for beside its own fit: a model that misses the data, and temperature."""
+"""What every result allows for beside its own fit: a model that misses the data, temperature, declared limits."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rig.calibrate.budget import Contribution, half_width
@@ -40,8 +41,24 @@ def misfit(chi2: float, dof: int, what: str, noise_dof: float = math.inf) -> Mis
     )
 
 
+def in_runs(words: str, runs: Iterable[str]) -> str:
+    """The source of an error that is these runs' own (how things were mounted, the day's temperature): what two results
+    from the same runs share, and no two calibrations from different ones (GUM 5.2.4, F.1.2.3).
+    """
+    names = sorted(set(runs))
+    more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+    return f"{words}, {', '.join(names[:2])}{more}"
+
+
+def cosine(name: str, limit: float, value: float, runs: Iterable[str]) -> Contribution:
+    """A misalignment of at most `limit` (rad) takes up to 1 − cos of it; half of that interval either way."""
+    size = half_width(1.0 - math.cos(limit), "rectangular")
+    source = in_runs(f"declared limit {math.degrees(limit):.3g}°", runs)
+    return Contribution(name, "B", "rectangular", size, "1", value, source=source)
+
+
 def temperature(
-    value: float, drift: float | None, span: tuple[float, float, float] | None
+    value: float, drift: float | None, span: tuple[float, float, float] | None, runs: Iterable[str]
 ) -> tuple[tuple[Contribution, ...], tuple[str, ...]]:
     """Budget lines and remarks: `drift` is the declared coefficient, 1/K; `span` mean, lowest and highest, °C."""
     if drift is None:
@@ -49,5 +66,5 @@ def temperature(
     if span is None:
         return (), ("temperature was not recorded: it is not in the budget",)
     u = half_width(abs(drift) * 0.5 * (span[2] - span[1]), "rectangular")
-    source = "declared coefficient times half the span"
+    source = in_runs("declared coefficient times half the span", runs)
     return (Contribution("temperature", "B", "rectangular", u, "1", value, source=source),), ()

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any
 
+from rig.calibrate.budget import Contribution
 from rig.calibrate.calibration import Calibration, Result, text
 from rig.calibrate.verdict import agrees, normalised_error
+
+OF_UNIT = ("data sheet",)  # sources of errors that two units of a kind do not share
 
 
 @dataclass(frozen=True)
@@ -41,24 +45,32 @@ class Compared:
 def compare(first: Calibration, second: Calibration) -> list[Compared]:
     """Every measurand that both determined, in the order of the first (ISO/IEC 17043, ISO 13528)."""
     theirs = {r.key: r for r in second.results if r.determined}
-    return [_compared(r, theirs[r.key]) for r in first.results if r.determined and r.key in theirs]
+    apart = () if first.serial == second.serial else OF_UNIT
+    return [_compared(r, theirs[r.key], apart) for r in first.results if r.determined and r.key in theirs]
 
 
-def _compared(one: Result, other: Result) -> Compared:
+def _compared(one: Result, other: Result, apart: Container[str]) -> Compared:
     mine, theirs = float(one.value or 0.0), float(other.value or 0.0)
-    r = correlation(one, other)
+    r = correlation(one, other, apart)
     en = normalised_error(theirs, other.expanded, mine, one.expanded, r)
     variance = one.expanded**2 + other.expanded**2 - 2.0 * r * one.expanded * other.expanded
     expanded = math.sqrt(max(variance, 0.0))
     return Compared(one.key, text(one), text(other), theirs - mine, expanded, one.unit, en)
 
 
-def correlation(one: Result, other: Result) -> float:
-    """Of two results: type B inputs of one name and source are the same error in both.
+def correlation(one: Result, other: Result, apart: Container[str] = ()) -> float:
+    """Of two results: type B inputs of one name and source (a certificate, a run) are the same error in both.
 
-    An origin that is not named (no source) is taken as independent.
+    An origin that is not named (no source) is taken as independent, as are the sources `apart`.
     """
-    mine = {(c.name, c.source): c.sensitivity * c.u for c in one.contributions if c.kind == "B" and c.source}
-    theirs = {(c.name, c.source): c.sensitivity * c.u for c in other.contributions if c.kind == "B" and c.source}
+    mine, theirs = (
+        {(c.name, c.source): c.sensitivity * c.u for c in found.contributions if _named(c) and c.source not in apart}
+        for found in (one, other)
+    )
     common = sum(mine[origin] * theirs[origin] for origin in mine.keys() & theirs.keys())
     return max(-1.0, min(common / (one.u * other.u), 1.0)) if one.u and other.u else 0.0
+
+
+def _named(line: Contribution) -> bool:
+    """Whether it is known what its error belongs to."""
+    return line.kind == "B" and bool(line.source)

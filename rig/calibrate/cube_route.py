@@ -14,6 +14,7 @@ import numpy as np
 
 from rig.archive.records import Experiment, Recorded, Signals, signals
 from rig.calibrate import gyros, resting
+from rig.calibrate.allowances import in_runs
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Result
 from rig.calibrate.resting import Resting
@@ -126,7 +127,8 @@ def with_clock(
     for one in results:
         if u and one.budget is not None and one.measurand in ("sensitivity", "lag"):
             slope = 1.0 if one.measurand == "lag" else _slope(one, rotations, noise_[one.channel], setup)
-            line = Contribution("clock between the recorders", "B", "normal", u, "s", slope, source=SOURCE)
+            source = in_runs(SOURCE, [rotation.run for rotation in rotations])
+            line = Contribution("clock between the recorders", "B", "normal", u, "s", slope, source=source)
             one = replace(one, budget=Budget((*one.contributions, line), one.budget.correlation))
         yield one
 

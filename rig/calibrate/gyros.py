@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Reference
-from rig.calibrate.allowances import Misfit, misfit, temperature
+from rig.calibrate.allowances import Misfit, cosine, in_runs, misfit, temperature
 from rig.calibrate.budget import Budget, Contribution, half_width
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
@@ -142,6 +142,7 @@ class PlatterFit:
     """
 
     channel: str
+    runs: tuple[str, ...]
     solution: Solution
     noise: Resting
     blocks: Rows
@@ -185,21 +186,21 @@ def fit_gyro(rotations: Sequence[Rotation], channel: str, noise: Resting, setup:
     first = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
     covariance = found.covariance + float(first.parameters[-1]) ** 2 * found.timing
     solution = gls(design, found.volts, covariance, [*names, "sensitivity"])
-    return PlatterFit(channel, solution, noise, replace(found, covariance=covariance), design)
+    found = replace(found, covariance=covariance)
+    return PlatterFit(channel, tuple(r.run for r in rotations), solution, noise, found, design)
 
 
 def sensitivity_result(fit: PlatterFit, setup: Setup) -> Result:
     """Sensitivity with its budget."""
     s = fit.sensitivity
     u_noise = float(fit.solution.u[-1]) * fit.misfit.factor
-    drifting, remarks = temperature(s, setup.drift.get(fit.channel), setup.temperature)
+    drifting, remarks = temperature(s, setup.drift.get(fit.channel), setup.temperature, fit.runs)
     lines = [
         Contribution("noise and wandering", "A", "normal", u_noise, SENSITIVITY, 1.0, fit.noise_dof,
                      f"covariance from the spectrum at rest ({fit.noise.run})"),
         Contribution("time base", "B", "normal", setup.time_base.u, "1", s, source=setup.time_base.source),
         Contribution("encoder graduation", "B", "normal", 0.0, "1", s, source="index to index: the same line twice"),
-        Contribution("axis to platter axis", "B", "rectangular", half_width(1.0 - math.cos(setup.tilt), "rectangular"),
-                     "1", s, source=f"declared limit {math.degrees(setup.tilt):.3g}°"),
+        cosine("axis to platter axis", setup.tilt, s, fit.runs),
         *drifting,
     ]  # fmt: skip
     if fit.channel in setup.ratiometric:
@@ -310,7 +311,8 @@ def fit_centripetal(
     columns, names = _offsets(found)
     design = np.column_stack([*columns, found.force])
     solution = gls(design, found.volts, found.covariance, [*names, "sensitivity"])
-    return PlatterFit(channel, solution, noise, found, design), radial[0].blocks[0].mount.radius
+    fit = PlatterFit(channel, tuple(r.run for r in radial), solution, noise, found, design)
+    return fit, radial[0].blocks[0].mount.radius
 
 
 def centripetal_result(fit: PlatterFit, radius: float, setup: Setup) -> Result:
@@ -320,7 +322,7 @@ def centripetal_result(fit: PlatterFit, radius: float, setup: Setup) -> Result:
     lines = (
         Contribution("noise and wandering", "A", "normal", u, unit, 1.0, fit.noise_dof),
         Contribution("radius", "B", "rectangular", half_width(setup.radius, "rectangular"), "m", s / radius,
-                     source=f"declared limit {setup.radius * 1e3:.3g} mm"),
+                     source=in_runs(f"declared limit {setup.radius * 1e3:.3g} mm", fit.runs)),
         Contribution("time base", "B", "normal", 2.0 * setup.time_base.u, "1", s, source=setup.time_base.source),
     )  # fmt: skip
     return Result(

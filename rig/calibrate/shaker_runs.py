@@ -14,6 +14,7 @@ from rig.archive.records import Recorded, mounts
 from rig.calibrate import accelerometers, agreement, gyros
 from rig.calibrate.accelerometers import SENSITIVITY, ChannelFit
 from rig.calibrate.agreement import DirectEstimate
+from rig.calibrate.allowances import in_runs
 from rig.calibrate.basis import Basis
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import ResponsePoint, Result, not_determined, rejected
@@ -119,7 +120,7 @@ class ShakerRuns:
         for name, fit in self._whole.items():
             sensor = basis.sensor.channel(name)
             yield accelerometers.sensitivity_result(fit, setup, remount, sensor.drift)
-            yield accelerometers.pole_result(fit)
+            yield accelerometers.pole_result(fit, chain)
             yield accelerometers.curvature_result(fit.seen, name, chain, sensor.bandwidth)
             for driven in "xyz":
                 points = self._points_of(driven)
@@ -153,17 +154,19 @@ class ShakerRuns:
         found = [r for records in runs for r in _level_rests(records, sensor, by)]
         if not found or sensor.name not in self._basis.noise:
             return None
-        begin, end, volts = (np.array(column) for column in zip(*found, strict=True))
+        names, *columns = zip(*found, strict=True)
+        begin, end, volts = (np.array(column, np.float64) for column in columns)
         weights, u = weights_of(self._basis.noise[sensor.name].slow.covariance(begin, end))
-        return _AtRest(begin, end, weights, float(weights @ volts), u)
+        return _AtRest(names, begin, end, weights, float(weights @ volts), u)
 
     def _offset(self, sensor: SensorChannel, found: _AtRest) -> Result:
         noise, value, u = self._basis.noise[sensor.name], found.value, found.u
-        tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(self._basis.alignment.mount)
+        limit = self._basis.alignment.mount
+        tilt = abs(self._whole[sensor.name].sensitivity) * 9.80665 * math.sin(limit)
         lines = (
             Contribution("noise and wandering", "A", "normal", u, "V", 1.0, gyros.dof_of(noise)),
             Contribution("tilt of the mounting", "B", "rectangular", tilt / math.sqrt(3.0), "V", 1.0,
-                         source="declared limit"),
+                         source=in_runs(f"declared limit {math.degrees(limit):.3g}°", found.runs)),
         )  # fmt: skip
         method = f"mean of {len(found.weights)} records at rest, axis horizontal"
         return Result(sensor.name, "offset", "zero output", value, "V", Budget(lines), method, "plumb line")
@@ -200,8 +203,9 @@ class ShakerRuns:
 
 @dataclass(frozen=True)
 class _AtRest:
-    """A weighted mean of records at rest between `begin` and `end` (bench clock, s), V."""
+    """A weighted mean of records at rest of `runs` between `begin` and `end` (bench clock, s), V."""
 
+    runs: tuple[str, ...]
     begin: NDArray[np.float64]
     end: NDArray[np.float64]
     weights: NDArray[np.float64]
@@ -216,8 +220,8 @@ def weights_of(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], fl
     return np.asarray(weights / total), total**-0.5
 
 
-def _level_rests(records: Recorded, sensor: SensorChannel, by: Recorder) -> Iterator[tuple[float, float, float]]:
-    """Begin, end (bench clock, s) and mean volts of every record at rest on the shaker with this axis horizontal."""
+def _level_rests(records: Recorded, sensor: SensorChannel, by: Recorder) -> Iterator[tuple[str, float, float, float]]:
+    """Run, begin, end (bench clock, s), mean volts of every record at rest on the shaker with this axis horizontal."""
     for entry, mount in mounts(records):
         body = entry.body
         if (
@@ -231,4 +235,4 @@ def _level_rests(records: Recorded, sensor: SensorChannel, by: Recorder) -> Iter
         found = at_rest(records, body, by)
         if found is not None and sensor.name in found.names and not found.clipped.get(sensor.name):
             start = float(body.get("start", found.start))
-            yield start, start + float(body["seconds"]), float(found.of(sensor.name).mean())
+            yield records.name, start, start + float(body["seconds"]), float(found.of(sensor.name).mean())

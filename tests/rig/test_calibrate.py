@@ -16,7 +16,7 @@ from rig.archive.records import Recorded, Signals
 from rig.calibrate import checking
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, load, save, text
-from rig.calibrate.comparison import compare
+from rig.calibrate.comparison import compare, correlation
 from rig.errors import BadInput, StandardOverdue
 from rig.printed import rounded
 from rig.record import CubeSamples, Response, Samples
@@ -209,6 +209,28 @@ def test_common_standards_cancel_between_two_calibrations(sweep: fast_bench.Memo
     row = next(r for r in compare(first, second) if r.key == "unit_a_x.sensitivity")
     assert row.expanded < 0.1 * first.result("unit_a_x.sensitivity").expanded
     assert row.agrees
+
+
+def test_what_is_aligned_anew_is_no_common_error_of_two_calibrations(turning: fast_bench.MemoryRecords) -> None:
+    stated = {**turning.header["bench_file"], "alignment": {"beam": "0.2°", "mount": "1°", "radius": "0.5 mm"}}
+    tilted = replace(turning, header={**turning.header, "bench_file": stated})
+    again = replace(tilted, name="another-day")
+    one, same, other = (calibrate([run], "one").result("gyro_yaw.sensitivity") for run in (tilted, tilted, again))
+    lines = {c.name: c.contribution**2 for c in one.contributions if c.kind == "B"}
+    assert lines["axis to platter axis"] > lines["time base"] > 0.0
+    assert correlation(one, same) * one.u**2 == pytest.approx(sum(lines.values()))  # the same records and mounting
+    assert correlation(one, other) * one.u**2 == pytest.approx(lines["time base"])
+
+
+def test_two_units_share_no_data_sheet(sweep: fast_bench.MemoryRecords) -> None:
+    made = calibrate([sweep], "one")
+    line = next(c for c in made.result("unit_a_x.bandwidth").contributions if c.source == "data sheet")
+    assert line.contribution > 0.0
+    row, apart = (
+        next(r for r in compare(made, other) if r.key == "unit_a_x.bandwidth")
+        for other in (made, replace(made, serial="ANOTHER"))
+    )
+    assert apart.expanded > row.expanded
 
 
 def test_a_clipped_channel_is_left_out_with_a_note(sweep: fast_bench.MemoryRecords) -> None:

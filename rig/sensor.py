@@ -68,6 +68,9 @@ class SensorChannel:
     drift: float | None = None
     beside_spot: float | None = None
     noise: SheetNoise | None = None
+    off_centre: float | None = None
+    asymmetry: float | None = None
+    nonlinearity: float | None = None
 
     @property
     def unit(self) -> str:
@@ -209,6 +212,8 @@ def _channel(name: str, row: Mapping[str, Any], triad: str) -> SensorChannel:
         str(row["range"]), units.parse(row["bandwidth"], "frequency"), _optional(row, "tolerance", "ratio"),
         _optional(row, "ratiometric", "voltage"), _optional(row, "temperature_coefficient", "ratio"),
         _optional(row, "beside_spot", "length"), _noise(row.get("noise"), quantity),
+        _optional(row, "off_centre", "length"), _optional(row, "asymmetry", "ratio"),
+        _optional(row, "nonlinearity", "ratio"),
     )  # fmt: skip
 
 

@@ -55,12 +55,25 @@ class AlignmentFile(Strict):
     """Limits of what is aligned by eye or by gauge: true values lie anywhere within ± these.
 
     `beam` between laser beam and motion, `mount` between the cube's faces and drive, plumb line or platter axis,
-    `radius` of the cube's centre from the platter's axis.
+    `radius` of the cube's centre from the platter's axis, `platen` between the platter's axis and the plumb line.
     """
 
     beam: Angle = Field(ge=0)
     mount: Angle = Field(ge=0)
     radius: Length = Field(ge=0)
+    platen: Angle | None = Field(default=None, ge=0)
+
+
+class InfluenceFile(Strict):
+    """What a budget has to allow for and no run measures: within ± `half_width` of a sensitivity, by whose word."""
+
+    half_width: Ratio = Field(ge=0)
+    source: str = Field(min_length=1)
+
+
+Influence = Literal[
+    "vibrometer_response", "transverse_motion", "laser_spot", "base_strain", "converter_linearity", "settling", "supply"
+]
 
 
 class StandardValue(Strict):
@@ -121,6 +134,9 @@ class ChannelFile(Strict):
     ratiometric: Voltage | None = Field(default=None, description="nominal supply, if the output follows the supply")
     temperature_coefficient: Ratio | None = Field(default=None, description="of the sensitivity, per kelvin")
     beside_spot: Length | None = Field(default=None, description="to the side of the vibrometer's spot on the shaker")
+    off_centre: Length | None = Field(default=None, ge=0, description="at most, from the point that a radius is of")
+    asymmetry: Ratio | None = Field(default=None, ge=0, description="at most, of the sensitivity between senses, half")
+    nonlinearity: Ratio | None = Field(default=None, ge=0, description="at most, of the output at any rate")
     noise: NoiseFile | None = Field(default=None, description="by the data sheet; the calibration compares with it")
 
     @field_validator("range")
@@ -218,6 +234,7 @@ class BenchFile(Strict):
     limits: LimitFile
     filter_cutoff: Frequency = Field(default=5000.0, gt=0)
     alignment: AlignmentFile | None = Field(default=None, description="limits that a calibration's budget uses")
+    influences: dict[Influence, InfluenceFile] = Field(default_factory=dict)
     instruments: dict[Role, dict[str, str | float | int | bool | tuple[str, ...] | dict[str, str]]]
     cables: dict[Literal["shaker", "turntable"], tuple[str, ...]]
     signals: SignalFile = SignalFile()

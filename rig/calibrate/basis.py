@@ -16,12 +16,13 @@ from rig.sensor import Sensor
 
 @dataclass(frozen=True)
 class Alignment:
-    """Declared limits: beam and mount angles, rad; radius, m."""
+    """Declared limits: beam and mount angles, rad; radius, m; tilt of the platter, rad, None if it is not declared."""
 
     beam: float
     mount: float
     radius: float
     declared: bool
+    platen: float | None = None
 
 
 def alignment_of(runs: Sequence[Recorded]) -> Alignment:
@@ -33,7 +34,9 @@ def alignment_of(runs: Sequence[Recorded]) -> Alignment:
         max(units.parse(one[name], kind) for one in stated)
         for name, kind in (("beam", "angle"), ("mount", "angle"), ("radius", "length"))
     )
-    return Alignment(beam, mount, radius, True)
+    platens = [one.get("platen") for one in stated]
+    platen = max(units.parse(one, "angle") for one in platens) if all(platens) else None
+    return Alignment(beam, mount, radius, True, platen)
 
 
 @dataclass(frozen=True)

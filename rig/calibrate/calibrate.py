@@ -16,9 +16,11 @@ from rig.calibrate import imported, paper_method, resting, tumble_runs
 from rig.calibrate.analyzer_route import SecondRoute, second_route
 from rig.calibrate.basis import Basis, basis_of
 from rig.calibrate.calibration import Calibration, PaperRow, Result, Source
+from rig.calibrate.combining import combined
 from rig.calibrate.cube_route import Recorder, recorder_of, said
 from rig.calibrate.fitted import Assumed, Experiment
 from rig.calibrate.fitted import experiments as experiments_fitted
+from rig.calibrate.influences import Influences
 from rig.calibrate.input_noise import noise_results, scales_of
 from rig.calibrate.joined import joined, of_model
 from rig.calibrate.judging import believed
@@ -82,11 +84,14 @@ def _of_bench(
     results = _on_model(shaken, turned, assumed, fits)
     results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
     clocks = [] if chosen == "cube" else [one for run in runs if (one := clock_of(run)) is not None]
+    influences = Influences(runs, chosen)
+    results = list(influences.added(results))
     results = [*flagged(looked.flagged(said(results, basis.recorder)), clocks), *looked.rows(sensor)]
     _refuse_nothing(runs, results)
     second = second_route(basis.runs, sensor, shaken.setup())
     if second is not None:
-        results += second.results(results)
+        results += influences.added(second.results(results))
+    relative = tuple(influences.flags(results))
     return Calibration(
         name=name,
         sensor=sensor.name,
@@ -96,12 +101,12 @@ def _of_bench(
         sources=_sources(runs, digests),
         standards=tuple(header["standards"]),
         conditions=resting.conditions_of(runs),
-        results=tuple(believed(_ordered(results, sensor), sensor)),
+        results=_concluded(results, sensor),
         responses=shaken.responses(),
         analyzer={} if second is None else second.responses(),
         paper=tuple(_paper(shaken, basis)),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
-        flags=tuple(dict.fromkeys([*looked.flags(), *unfitted, *_flags(basis, shaken, turned, second)])),
+        flags=tuple(dict.fromkeys([*looked.flags(), *unfitted, *_flags(basis, shaken, turned, second), *relative])),
         program={key: str(value) for key, value in header["program"].items()},
         unit=header["sensor"],
         model="" if assumed is None else assumed.said,
@@ -178,7 +183,12 @@ def _of_both(
     theirs = imported.calibration(foreign, name, _sources(foreign, digests), assumed or _DATA_SHEET, volts=True)
     made = together(_of_bench(own, name, digests, assumed, recorder), theirs)
     sensor = made.under_test
-    return replace(made, results=tuple(believed(_ordered(made.results, sensor), sensor)))
+    return replace(made, results=_concluded(made.results, sensor))
+
+
+def _concluded(results: Iterable[Result], sensor: Sensor) -> tuple[Result, ...]:
+    """In their order, judged, with one value of every sensitivity that several references give."""
+    return tuple(combined(list(believed(_ordered(results, sensor), sensor)), sensor))
 
 
 def _common_header(runs: Sequence[Recorded]) -> Mapping[str, Any]:

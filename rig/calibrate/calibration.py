@@ -25,6 +25,9 @@ FORMAT = 1
 PROBABILITY = 0.95
 SIGN_REVERSED = "sign reversed"  # the first words of why a verdict is `fail`, where it is not the size
 
+COMBINED = "sensitivity_combined"
+ROUTES = ("sensitivity", "sensitivity_gravity", "sensitivity_centripetal")  # of one quantity, by several references
+
 MISSING = "an effect is missing"  # in the remark on a value whose model leaves more than noise
 
 Status = Literal["determined", "flagged", "not determined"]
@@ -287,10 +290,28 @@ class Calibration:
 
     def covariance(self, keys: Sequence[str]) -> NDArray[np.float64]:
         """Covariance of results, shape (n, n), SI: contributions of one name and source are one and the same error."""
-        rows = [_by_origin(self.result(key)) for key in keys]
-        found = np.array([[sum(a[o] * b[o] for o in a.keys() & b.keys()) for b in rows] for a in rows], np.float64)
-        np.fill_diagonal(found, [self.result(key).u ** 2 for key in keys])
-        return found
+        return covariance_of([self.result(key) for key in keys])
+
+    def to_use(self, channel: str, measurand: str) -> Result | None:
+        """The one value of a channel to use, None if there is none: of a sensitivity that of all references combined,
+        else the surest by one of them that is not flagged.
+        """
+        if measurand != "sensitivity":
+            return self.find(f"{channel}.{measurand}")
+        found = [r for name in (COMBINED, *ROUTES[:2]) if (r := self.find(f"{channel}.{name}")) is not None]
+        return min(found, key=lambda r: (r.measurand != COMBINED, r.status == "flagged", r.u), default=None)
+
+    def used(self, measurand: str) -> Iterator[Result]:
+        """What `to_use` gives of all channels that have it."""
+        return (r for channel in self.channels() if (r := self.to_use(channel, measurand)) is not None)
+
+
+def covariance_of(results: Sequence[Result]) -> NDArray[np.float64]:
+    """Covariance of results, shape (n, n), SI, as `Calibration.covariance`."""
+    rows = [_by_origin(one) for one in results]
+    found = np.array([[sum(a[o] * b[o] for o in a.keys() & b.keys()) for b in rows] for a in rows], np.float64)
+    np.fill_diagonal(found, [one.u**2 for one in results])
+    return found
 
 
 def _by_origin(result: Result) -> dict[tuple[str, ...], float]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +29,20 @@ from rig.signals.line import Solution, gls
 
 Array = NDArray[np.float64]
 SENSITIVITY = "V/(rad/s)"
+UNSEEN = ("asymmetry", "nonlinearity")  # of a gyro that was turned in one sense alone
+PLACE, PLATEN = "place of the sensing element", "tilt of the platter"
+WHOLE_BUDGET = frozenset({PLACE, PLATEN})  # lines that a sensitivity from ω²r needs before it may be relied on
 
 
 @dataclass(frozen=True)
 class Setup:
     """What the budgets need beside the blocks.
 
-    `tilt` limit of the angle between sensitive and platter axis (rad), `radius` limit of the radius's error (m);
-    `temperature` (mean, lowest, highest, °C); `ratiometric` nominal supply (V) of parts whose output follows it, by
-    channel; `drift` declared temperature coefficients, 1/K, by channel; `supply` what the cables call it.
+    `tilt` limit of the angle between sensitive and platter axis (rad), `radius` limit of the radius's error (m),
+    `platen` limit of the platter's tilt (rad; None: not declared); `temperature` (mean, lowest, highest, °C);
+    `ratiometric` nominal supply (V) of parts whose output follows it, by channel; `drift` declared temperature
+    coefficients, 1/K, by channel; `supply` what the cables call it. By channel what the sensor file states: `straight`
+    limits of asymmetry and nonlinearity, `off_centre` of the sensing element's place, m.
     """
 
     time_base: Reference
@@ -48,6 +53,9 @@ class Setup:
     ratiometric: Mapping[str, float]
     drift: Mapping[str, float]
     supply: str = Wires.supply
+    platen: float | None = None
+    straight: Mapping[str, tuple[float | None, float | None]] = field(default_factory=dict)
+    off_centre: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -195,12 +203,14 @@ def sensitivity_result(fit: PlatterFit, setup: Setup) -> Result:
     s = fit.sensitivity
     u_noise = float(fit.solution.u[-1]) * fit.misfit.factor
     drifting, remarks = temperature(s, setup.drift.get(fit.channel), setup.temperature, fit.runs)
+    unseen, said = _unseen(fit, setup)
     lines = [
         Contribution("noise and wandering", "A", "normal", u_noise, SENSITIVITY, 1.0, fit.noise_dof,
                      f"covariance from the spectrum at rest ({fit.noise.run})"),
         Contribution("time base", "B", "normal", setup.time_base.u, "1", s, source=setup.time_base.source),
         Contribution("encoder graduation", "B", "normal", 0.0, "1", s, source="index to index: the same line twice"),
         cosine("axis to platter axis", setup.tilt, s, fit.runs),
+        *unseen,
         *drifting,
     ]  # fmt: skip
     if fit.channel in setup.ratiometric:
@@ -216,8 +226,27 @@ def sensitivity_result(fit: PlatterFit, setup: Setup) -> Result:
         method="whole revolutions against rest, generalised least squares",
         reference=f"encoder, index to index; time base, {setup.time_base.source}",
         status=fit.misfit.status,
-        remarks=(*fit.misfit.remarks, *remarks),
+        remarks=(*fit.misfit.remarks, *said, *remarks),
     )
+
+
+def _unseen(fit: PlatterFit, setup: Setup) -> tuple[tuple[Contribution, ...], tuple[str, ...]]:
+    """Budget lines and remarks for what one sense cannot tell from a sensitivity; its sign goes with the sense."""
+    rate = fit.blocks.rate
+    if rate.min() < 0.0 < rate.max():
+        return (), ()
+    along = math.copysign(fit.sensitivity, fit.sensitivity * float(rate.sum()))
+    limits = dict(zip(UNSEEN, setup.straight.get(fit.channel, (None, None)), strict=True))
+    lines = tuple(
+        Contribution(f"{name}, unseen in one sense", "B", "rectangular", half_width(limit, "rectangular"), "1", along,
+                     source="data sheet")
+        for name, limit in limits.items() if limit is not None
+    )  # fmt: skip
+    missing = [name for name, limit in limits.items() if limit is None]
+    how = f"{' and '.join(missing)} not in the budget, as the sensor file states no limit" if missing else ""
+    by_file = f"{' and '.join(name for name in UNSEEN if name not in missing)} by the sensor file in the budget"
+    told = "; ".join(part for part in (by_file if lines else "", how) if part)
+    return lines, (f"turned in one sense only: {told} (`rig turntable --all` measures in both)",)
 
 
 def offset_result(fit: PlatterFit) -> Result:
@@ -319,17 +348,31 @@ def centripetal_result(fit: PlatterFit, radius: float, setup: Setup) -> Result:
     """Sensitivity of an accelerometer from ω²r at this radius, m, with its budget."""
     s, unit, odd = fit.sensitivity, "V/(m/s²)", fit.misfit
     u = float(fit.solution.u[-1]) * odd.factor
-    lines = (
+    lines = [
         Contribution("noise and wandering", "A", "normal", u, unit, 1.0, fit.noise_dof),
+        cosine("axis to the radius", setup.tilt, s, fit.runs),
         Contribution("radius", "B", "rectangular", half_width(setup.radius, "rectangular"), "m", s / radius,
                      source=in_runs(f"declared limit {setup.radius * 1e3:.3g} mm", fit.runs)),
         Contribution("time base", "B", "normal", 2.0 * setup.time_base.u, "1", s, source=setup.time_base.source),
-    )  # fmt: skip
+    ]  # fmt: skip
+    said = list(odd.remarks)
+    if (place := setup.off_centre.get(fit.channel)) is not None:
+        lines.append(Contribution(PLACE, "B", "rectangular", half_width(place, "rectangular"), "m", s / radius,
+                                  source="data sheet"))  # fmt: skip
+    else:
+        said.append("the radius is that of the cube's centre: where the element sits (`off_centre`) is not stated")
+    if setup.platen is not None:
+        # at rest gravity has a part along the radius, over whole revolutions it has none
+        share = setup.gravity * math.sin(setup.platen) / float(np.abs(fit.blocks.force).max())
+        source = in_runs(f"declared limit {math.degrees(setup.platen):.3g}°", fit.runs)
+        lines.append(Contribution(PLATEN, "B", "arcsine", half_width(share, "arcsine"), "1", s, source=source))
+    else:
+        said.append("the tilt of the platter (`alignment: platen`) is not stated")
     return Result(
-        fit.channel, "sensitivity_centripetal", "sensitivity from ω²r on the turntable", s, unit, Budget(lines),
+        fit.channel, "sensitivity_centripetal", "sensitivity from ω²r on the turntable", s, unit, Budget(tuple(lines)),
         method=f"centripetal acceleration at {radius * 1e3:g} mm, generalised least squares", reference="encoder",
         status=odd.status,
-        remarks=("the radius of the cube's centre: offsets of the sensing element are not known", *odd.remarks),
+        remarks=tuple(said),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from rig.calibrate.calibration import SIGN_REVERSED, Calibration, Result, rejected, text
+from rig.calibrate.calibration import COMBINED, SIGN_REVERSED, Calibration, Result, rejected, text
 from rig.calibrate.verdict import verdict
 from rig.printed import SHOWN
 from rig.sensor import Sensor, SensorChannel
@@ -30,9 +30,10 @@ def judged(result: Result, nominal: float, tolerance: float | None) -> Result:
     """A sensitivity with its verdict against the declared one, guard band U; other results as they are.
 
     `nominal` in the result's unit, with its sign; `tolerance` relative, None if none is stated. The sensitivity proper
-    is always judged, other routes to it (gravity, ω²r, the analyzer) only speak up where they fail.
+    and that of all references are always judged, other routes to it (gravity, ω²r, the analyzer) only speak up where
+    they fail.
     """
-    if result.measurand not in SENSITIVITIES or result.value is None:
+    if result.measurand not in (COMBINED, *SENSITIVITIES) or result.value is None:
         return result
     if result.value * nominal < 0.0 and abs(result.value) > result.expanded:
         return replace(result, verdict="fail", remarks=(_reversed(result, nominal), *result.remarks))
@@ -42,7 +43,7 @@ def judged(result: Result, nominal: float, tolerance: float | None) -> Result:
     said = verdict(result.value, result.expanded, low, high)
     if result.status == "flagged":
         said = "inconclusive"  # a model that leaves something over says nothing about limits
-    if result.measurand != "sensitivity" and said != "fail":
+    if result.measurand not in (COMBINED, "sensitivity") and said != "fail":
         return result
     return replace(result, low=low, high=high, verdict=said)
 

@@ -70,6 +70,9 @@ class TurntableRuns:
             ratiometric={c.name: c.ratiometric for c in channels if c.ratiometric is not None},
             drift={c.name: c.drift for c in channels if c.drift is not None},
             supply=wires_of(records).supply,
+            platen=limits.platen,
+            straight={c.name: (c.asymmetry, c.nonlinearity) for c in channels if c.is_rate},
+            off_centre={c.name: c.off_centre for c in channels if c.off_centre is not None},
         )
 
     def results(self) -> Iterator[Result]:

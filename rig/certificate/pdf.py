@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from rig.archive.durable import write_whole
-from rig.calibrate.calibration import Calibration, Result
+from rig.calibrate.calibration import COMBINED, Calibration, Result
 from rig.certificate.document import COVERAGE, DECISION, document, flat, limits, printed, standard_rows
 from rig.errors import BadInput
 from rig.printed import SHOWN
@@ -25,7 +25,7 @@ TEMPLATE = Path(__file__).with_name("certificate.typ")
 MOST_PAGES = 3
 SIZES = (8.6, 8.0, 7.2, 6.5)  # pt; the smaller ones for a calibration that fills more than three pages
 WORTH_A_PAGE = 0.25
-KEY = ("sensitivity", "offset", "deviation", "noise_density", "noise_bandwidth")
+KEY = (COMBINED, "sensitivity", "offset", "deviation", "noise_density", "noise_bandwidth")
 WIDEST = 6  # columns of one table
 NOTHING: Mapping[str, bytes] = MappingProxyType({})
 KINDS = (("Accelerometers", "m/s²"), ("Gyros", "rad"))

@@ -444,6 +444,7 @@ def _standing_on(serial: str, runs: Path, model: Path | None, effects: Path | No
 
 
 SHOWN_FIRST = (
+    "sensitivity_combined",
     "sensitivity",
     "sensitivity_analyzer",
     "sensitivity_gravity",

@@ -111,7 +111,7 @@ def _response_units(calibration: Calibration, channel: str) -> list[str]:
 
 
 def _write_covariance(file: h5py.File, calibration: Calibration) -> None:
-    found = list(calibration.of("sensitivity"))
+    found = list(calibration.used("sensitivity"))
     if not found:
         return
     matrix = file.create_dataset("covariance/sensitivity", data=calibration.covariance([r.key for r in found]))

@@ -102,7 +102,7 @@ def _response(points: tuple[ResponsePoint, ...]) -> dict[str, Any]:
 
 
 def _covariance(calibration: Calibration) -> dict[str, Any]:
-    keys = [result.key for result in calibration.of("sensitivity")]
+    keys = [result.key for result in calibration.used("sensitivity")]
     matrix = calibration.covariance(keys) if keys else np.zeros((0, 0))
     return {"keys": _cell(keys), "sensitivity": matrix}
 

@@ -91,9 +91,11 @@ def imported(calibration: Calibration) -> bool:
 
 
 def needed(calibration: Calibration, channel: str, measurand: str) -> Result:
-    """A determined result; raises BadInput with the reason it is missing, and the record that would determine it."""
+    """The determined result to use, of a sensitivity that of all references together; raises BadInput with the reason
+    it is missing, and the record that would determine it.
+    """
     key = f"{channel}.{measurand}"
-    found = calibration.find(key)
+    found = calibration.to_use(channel, measurand)
     if found is None:
         source = SOURCES.get(measurand, "a record that determines it")
         source = _COMMAND.sub("", source) if imported(calibration) else source
@@ -101,9 +103,11 @@ def needed(calibration: Calibration, channel: str, measurand: str) -> Result:
             f"calibration {calibration.name}: found no {key} ({why_missing(calibration, key)}), wanted it from {source}"
         )
     if found.value is None or not math.isfinite(found.value):
-        raise BadInput(f"calibration {calibration.name}: found {key} = {found.value}, wanted a finite number")
+        raise BadInput(f"calibration {calibration.name}: found {found.key} = {found.value}, wanted a finite number")
     if found.budget is None:
-        raise BadInput(f"calibration {calibration.name}: found {key} without a budget, wanted its uncertainty too")
+        raise BadInput(
+            f"calibration {calibration.name}: found {found.key} without a budget, wanted its uncertainty too"
+        )
     return found
 
 

@@ -51,6 +51,7 @@ def test_shipped_benches_can_be_described_with_everything_they_name(name: str) -
         "encoder",
         "time_base",
         "gravity",
+        "converter",
     ]
     assert len(description.sensor.channels) == 15
     assert all(len(names) == 16 for names in description.file.cables.values())
@@ -65,12 +66,15 @@ def test_a_bench_file_says_its_facts_in_si() -> None:
     assert facts.has >= {"analyzer", "vibrometer", "recorder", "filter", "turntable", "encoder", "scope", "cube"}
 
 
-def test_simulated_and_hardware_differ_in_addresses_clock_operator_cube_and_alignment_only() -> None:
+def test_simulated_and_hardware_differ_in_addresses_clock_operator_cube_and_what_is_known_of_them_only() -> None:
     simulated, hardware = (
         yaml.safe_load(shipped(f"benches/{name}.yaml").read_text()) for name in ("simulated", "hardware")
     )
     different = {key for key in simulated if simulated[key] != hardware.get(key)}
-    assert different == {"bench", "simulated", "clock", "operator", "instruments", "sensors", "alignment"}
+    assert different == {
+        "bench", "simulated", "clock", "operator", "instruments", "sensors", "alignment", "influences"
+    }  # fmt: skip
+    assert set(simulated["influences"]) == set(hardware["influences"])
     for role, entry in simulated["instruments"].items():
         keys = {key for key in entry if entry[key] != hardware["instruments"][role].get(key)}
         assert keys <= {"address", "gateway", "serial"}
@@ -181,7 +185,7 @@ def test_an_overdue_standard_is_refused_with_its_certificate_and_what_would_help
     description = describe(SHIPPED)
     with pytest.raises(StandardOverdue, match=r"vibrometer .*EX-LDV-2026-014.*found due 2027-03-02.*--allow-overdue"):
         description.refuse_overdue(at("2027-06-01"), override=False)
-    assert description.refuse_overdue(at("2027-06-01"), override=True) == ["vibrometer", "time_base"]
+    assert description.refuse_overdue(at("2027-06-01"), override=True) == ["vibrometer", "time_base", "converter"]
     assert description.refuse_overdue(at("2026-06-01"), override=True) == []
 
 

@@ -1,0 +1,81 @@
+"""What no run measures is in the budgets with the size that the bench file states, or said to be missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import fast_bench
+import pytest
+
+from rig.calibrate.calibrate import calibrate
+from rig.calibrate.calibration import Calibration, Result
+from rig.calibrate.influences import CONCERNS
+from rig.errors import BadInput, StandardOverdue
+
+SWEEP = {"procedure": "frequency_sweep", "axis": "x", "points": 2}
+TURNS = {"procedure": "turntable", "axis": "yaw", "revolutions": 4}
+STATED = {name: {"half_width": f"{0.001 * n}", "source": "an estimate"} for n, name in enumerate(CONCERNS, 1)}
+CONVERTER = {"standard": "converter", "certificate": "EX-ADC", "due": "2099-01-01", "values": {
+    "gain": {"kind": "ratio", "value": "1", "expanded_uncertainty": "0.4 %", "coverage_factor": 2.0}}}  # fmt: skip
+
+
+@cache
+def _measured() -> tuple[fast_bench.MemoryRecords, ...]:
+    world = fast_bench.world(5)
+    return tuple(fast_bench.measure(one, world) for one in (SWEEP, TURNS))
+
+
+def made(influences: Any, *standards: Any) -> Calibration:
+    """Both runs on a bench whose file states these."""
+    others = [one for one in _measured()[0].header["standards"] if one["standard"] != "converter"]
+    return calibrate([
+        replace(run, header={
+            **run.header, "standards": [*others, *standards],
+            "bench_file": {**run.header["bench_file"], "influences": influences},
+        }) for run in _measured()
+    ], "made")  # fmt: skip
+
+
+def lines(result: Result) -> dict[str, float]:
+    """Relative half-widths of the lines that a bench file states, and of the converter's gain."""
+    words = {name.replace("_", " ") for name in CONCERNS} | {"converter gain"}
+    return {c.name: c.contribution / abs(result.value or 0.0) * 3**0.5 for c in result.contributions if c.name in words}
+
+
+def test_each_influence_is_a_line_of_what_it_concerns_and_of_nothing_else() -> None:
+    found = made(STATED)
+    for key, route in (("unit_a_x.sensitivity", "sweep"), ("gyro_yaw.sensitivity", "turntable")):
+        wanted = {n.replace("_", " "): 0.001 * k for k, n in enumerate(CONCERNS, 1) if route in CONCERNS[n]}
+        assert lines(found.result(key)) == pytest.approx(wanted, rel=1e-6)
+    assert lines(found.result("unit_a_x.sensitivity_analyzer")) == lines(found.result("unit_a_x.sensitivity"))
+    assert not lines(found.result("unit_a_x.deviation"))
+    assert not any("not in the budgets" in flag for flag in found.flags)
+
+
+def test_what_is_not_stated_is_said_to_be_missing() -> None:
+    found = made({"laser_spot": STATED["laser_spot"], "settling": {"half_width": "0 %", "source": "none"}})
+    assert lines(found.result("unit_a_x.sensitivity")) == pytest.approx({"laser spot": 0.003})
+    (said,) = [flag for flag in found.flags if "not in the budgets, as the bench file" in flag]
+    assert "base strain" in said
+    assert "laser spot" not in said
+    assert "settling" not in said  # none is a size too
+
+
+def test_the_converters_gain_counts_where_no_channel_shows_the_reference() -> None:
+    plain, certified = made({}), made({}, CONVERTER)
+    assert lines(certified.result("gyro_yaw.sensitivity")) == pytest.approx({"converter gain": 0.002 * 3**0.5})
+    assert lines(certified.result("gyro_yaw.offset")) == pytest.approx({"converter gain": 0.002 * 3**0.5})
+    assert not lines(certified.result("unit_a_x.sensitivity"))  # a ratio of two of its channels
+    relative = "in volts of the converter, whose gain no standard"
+    assert any(relative in flag for flag in plain.flags)
+    assert not any(relative in flag for flag in certified.flags)
+
+
+def test_a_converter_that_is_off_or_past_its_date_is_refused() -> None:
+    gain = {**CONVERTER["values"]["gain"], "value": "1.005"}  # type: ignore[index]
+    with pytest.raises(BadInput, match=r"found a converter of gain 1\.005"):
+        made({}, {**CONVERTER, "values": {"gain": gain}})
+    with pytest.raises(StandardOverdue, match="converter"):
+        made({}, {**CONVERTER, "due": "2020-01-01"})

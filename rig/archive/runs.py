@@ -41,7 +41,7 @@ class Runs:
     now: Callable[[], float] = time.time
 
     def create(self, procedure: str, header: Mapping[str, Any], label: str | None = None) -> RunWriter:
-        """Begin a run; the name is the time and `label` (default: the procedure), e.g. `2026-11-24T105500-sweep-x`.
+        """Begin a run; its name is the bench's time and `label` (default: the procedure): `2026-11-24T105500-sweep-x`.
 
         `header` should have `simulated` (bool) and `points_total` (int). Raises ArchiveError.
         """
@@ -50,7 +50,7 @@ class Runs:
             self.root.mkdir(parents=True, exist_ok=True)
         with keeping(self.root), waited_for(self.root / ".lock"):
             number = max((_sequence(run) for run in self.list()), default=0) + 1
-            path = _new_folder(self.root, label or procedure)
+            path = _new_folder(self.root, label or procedure, self.now())
             (path / BLOCKS).mkdir()
             lock = take_lock(path / LOCK)
             with _on_failure(lambda: os.close(lock)):
@@ -127,10 +127,10 @@ def _refuse_damage(run: Run) -> None:
         raise ArchiveError(f"{run.name}: found damage, wanted a sound run\n" + "\n".join(problems))
 
 
-def _new_folder(root: Path, label: str) -> Path:
-    """A new folder named after the time; making it is what claims the name."""
+def _new_folder(root: Path, label: str, now: float) -> Path:
+    """A new folder named after the bench's time, as what is dated within; making it is what claims the name."""
     slug = re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-") or "run"
-    stem, count = f"{time.strftime('%Y-%m-%dT%H%M%S', time.gmtime())}-{slug}", 1
+    stem, count = f"{time.strftime('%Y-%m-%dT%H%M%S', time.gmtime(now))}-{slug}", 1
     while True:
         path = root / (stem if count == 1 else f"{stem}-{count}")
         try:

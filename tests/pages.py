@@ -24,6 +24,7 @@ from fixtures import world_file
 from rig.bench import assembly, procedure_file
 from rig.bench.benchfile import SensorFile, Standard
 from rig.bench.operators import Answers
+from rig.certificate.issuer import Issuer
 from rig.cli import EXIT_CODES, SECTIONS, cli
 from rig.cli.effects import reference_page
 from rig.cli.onward import Carried
@@ -35,6 +36,7 @@ from rig.yaml.config import json_schema
 ROOT = Path(__file__).parents[1]
 SCHEMAS = "docs/reference/schemas"
 MODELS: Mapping[str, Callable[[], type[BaseModel]]] = {
+    "laboratory": lambda: Issuer,
     "answers": lambda: Answers,
     "bench": assembly.file_model,
     "manifest": lambda: Manifest,

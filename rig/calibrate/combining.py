@@ -57,15 +57,16 @@ def _of(group: Sequence[Result], unlikely: float) -> Result:
     probability = float(chdtrc(dof, chi2))
     lines = list(_lines(group, weights))
     said = "; ".join(f"{_by(one)} {text(one)}" for one in group)
+    said = f"{said}; χ² = {chi2:.2g} with {dof} degree{'s' if dof > 1 else ''} of freedom"
     apart: tuple[str, ...] = ()
     if probability < unlikely:
         spread = Budget(tuple(lines)).u * math.sqrt(chi2 / dof - 1.0)
         lines.append(Contribution("disagreement of the references", "A", "normal", spread, group[0].unit, 1.0, dof))
-        apart = (f"the references disagree (χ² = {chi2:.3g}, probability {probability:.2g}): one of them is off",)
+        apart = (f"the references disagree (probability {probability:.2g}): one of them is off",)
     return replace(
         group[0], measurand=COMBINED, title="sensitivity, all references combined", value=value,
-        budget=Budget(tuple(lines)), method=f"mean weighted with the covariance, χ² = {chi2:.2g} for {dof}: {said}",
-        reference="; ".join(dict.fromkeys(one.reference for one in group)), remarks=apart,
+        budget=Budget(tuple(lines)), method="results by several references, mean weighted with their covariance",
+        reference="; ".join(dict.fromkeys(one.reference for one in group)), remarks=(*apart, said),
         status="flagged" if apart else "determined", low=None, high=None, verdict=None, check=None,
     )  # fmt: skip
 

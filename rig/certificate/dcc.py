@@ -8,12 +8,16 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.archive.durable import write_whole
 from rig.calibrate.budget import coverage_factor
 from rig.calibrate.calibration import PROBABILITY, Calibration, ResponsePoint, Result
-from rig.certificate.document import COVERAGE, DECISION, Document, document, flat, printable, standard_rows
+from rig.certificate.document import COVERAGE, DECISION, Document, budgeted, document, flat, printable, standard_rows
 from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from rig.certificate.issuer import Issuer, Party
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 
@@ -40,25 +44,28 @@ UNITS = {
 NAMES = {"m": "metre", "s": "second", "rad": "radian", "V": "volt", "Hz": "hertz", "K": "kelvin"}
 POWERS = {"": Fraction(1), "²": Fraction(2), "³": Fraction(3)}
 FACTOR = re.compile(r"([/·]?)(?:(√?[A-Za-z1]+)|\(([^()]*)\))([²³]?)")
-CONDITIONS = {"temperature": ("°C", "basic_temperature"), "supply": ("V", "basic_supplyVoltage")}
+CONDITIONS = {"temperature": ("°C", "basic_temperature"), "supply": ("V", "rig_supplyVoltage")}
+NORMAL = 1.96  # k of the normal law at 95 %, to the digits that are read
+OF_FREEDOM = ".degrees_of_freedom"  # behind a result's key
+MANY = 1e9  # degrees of freedom that stand for no limit: the schema takes no infinity
 
 
-def write_dcc(calibration: Calibration, path: Path) -> None:
+def write_dcc(calibration: Calibration, path: Path, issuer: Issuer | None = None) -> None:
     """Write the certificate; raises BadInput for a unit without a D-SI form or a number that is not finite.
 
-    Value and expanded uncertainty are in SI, unrounded. The laboratory's and the customer's names are not known to
-    the program and say so.
+    Value and expanded uncertainty are in SI, unrounded. Without an `issuer` the names of laboratory and customer are
+    not known and say so.
     """
-    write_whole(path, xml(calibration))
+    write_whole(path, xml(calibration, issuer))
 
 
-def xml(calibration: Calibration) -> bytes:
+def xml(calibration: Calibration, issuer: Issuer | None = None) -> bytes:
     """The certificate as XML in UTF-8."""
     ET.register_namespace("dcc", DCC)
     ET.register_namespace("si", SI)
-    words = document(calibration)
+    words = document(calibration, issuer)
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion="3.2.1")
-    _administration(_add(root, "administrativeData"), words, calibration)
+    _administration(_add(root, "administrativeData"), words, calibration, issuer)
     _measurement(_add(_add(root, "measurementResults"), "measurementResult"), words, calibration)
     ET.indent(root)
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True))
@@ -83,31 +90,52 @@ def _text(parent: ET.Element, tag: str, *texts: str, **attributes: str) -> ET.El
     return child
 
 
-def _administration(data: ET.Element, words: Document, calibration: Calibration) -> None:
+def _administration(data: ET.Element, words: Document, calibration: Calibration, issuer: Issuer | None) -> None:
     software = _add(_add(data, "dccSoftware"), "software")
     _text(software, "name", calibration.program.get("name", "rig"))
     release = calibration.program.get("version", "not stated")
     _add(software, "release", printable(release, "digital certificate: release"))
-    core = _add(data, "coreData")
-    for tag, value in (
-        ("countryCodeISO3166_1", "ZZ"),  # user-assigned: the country is not known
-        ("usedLangCodeISO639_1", "en"),
-        ("mandatoryLangCodeISO639_1", "en"),
-        ("uniqueIdentifier", words.identifier),
-        ("beginPerformanceDate", words.begun),
-        ("endPerformanceDate", words.ended),
-        ("performanceLocation", "laboratory"),
-    ):
-        _add(core, tag, value)
+    _own_words(_add(data, "refTypeDefinitions"), release)
+    _core(_add(data, "coreData"), words, issuer)
     item = _add(_add(data, "items"), "item")
     _text(item, "name", words.sensor)
     _identification(item, "manufacturer", words.serial, "Serial number", "basic_serialNumber")
-    _contact(_add(_add(data, "calibrationLaboratory"), "contact"), "Laboratory not stated")
-    person = _add(_add(data, "respPersons"), "respPerson")
-    _text(_add(person, "person"), "name", "Not signed")
-    _add(person, "mainSigner", "true")
-    _contact(_add(data, "customer"), "Customer not stated")
+    laboratory = _add(data, "calibrationLaboratory")
+    if issuer is not None and issuer.laboratory.code:
+        _add(laboratory, "calibrationLaboratoryCode", flat(issuer.laboratory.code))
+    _contact(_add(laboratory, "contact"), "Laboratory not stated", None if issuer is None else issuer.laboratory)
+    persons = _add(data, "respPersons")
+    for place, (name, role) in enumerate(words.signatories or (("Not signed", ""),)):
+        person = _add(persons, "respPerson")
+        _text(_add(person, "person"), "name", name)
+        if role:
+            _add(person, "role", role)
+        _add(person, "mainSigner", "true" if place == 0 else "false")
+    _contact(_add(data, "customer"), "Customer not stated", None if issuer is None else issuer.customer)
     _statements(_add(data, "statements"), words)
+
+
+def _own_words(definitions: ET.Element, release: str) -> None:
+    """The namespace of what the public vocabularies have no word for."""
+    one = _add(definitions, "refTypeDefinition")
+    _text(one, "name", "rig")
+    _text(one, "description", "Measurands as the program's reference page `measurands` defines them")
+    for tag, text in (("namespace", "rig"), ("link", "docs/reference/measurands.md"), ("release", release)):
+        _add(one, tag, text)
+
+
+def _core(core: ET.Element, words: Document, issuer: Issuer | None) -> None:
+    _add(core, "countryCodeISO3166_1", (issuer and issuer.laboratory.country) or "ZZ")  # user-assigned: not known
+    _add(core, "usedLangCodeISO639_1", "en")
+    _add(core, "mandatoryLangCodeISO639_1", "en")
+    _add(core, "uniqueIdentifier", words.identifier)
+    if issuer is not None and issuer.order:
+        _identification(core, "calibrationLaboratory", words.order, "Order number", "basic_orderNumber")
+    _add(core, "beginPerformanceDate", words.begun)
+    _add(core, "endPerformanceDate", words.ended)
+    _add(core, "performanceLocation", issuer.place if issuer is not None else "laboratory")
+    if words.issued:
+        _add(core, "issueDate", words.issued)
 
 
 def _identification(parent: ET.Element, issuer: str, value: str, name: str, kind: str) -> None:
@@ -117,9 +145,14 @@ def _identification(parent: ET.Element, issuer: str, value: str, name: str, kind
     _text(one, "name", name)
 
 
-def _contact(contact: ET.Element, name: str) -> None:
-    _text(contact, "name", name)
-    _text(_add(contact, "location"), "further", "not stated")
+def _contact(contact: ET.Element, unknown: str, party: Party | None) -> None:
+    _text(contact, "name", unknown if party is None else party.name)
+    if party is not None and party.email:
+        _add(contact, "eMail", flat(party.email))
+    location = _add(contact, "location")
+    if party is not None and party.country:
+        _add(location, "countryCode", party.country)
+    _text(location, "further", (party and party.address) or "not stated")
 
 
 def _statements(parent: ET.Element, words: Document) -> None:
@@ -154,6 +187,36 @@ def _measurement(measured: ET.Element, words: Document, calibration: Calibration
     for channel, points in calibration.responses.items():
         if points:
             _response(results, channel, points)
+    for result in budgeted(calibration):
+        _budget(results, result)
+
+
+def _budget(results: ET.Element, result: Result) -> None:
+    """The budget of a judged result: names, and columns of numbers beside them."""
+    one = _add(results, "result", refType="rig_uncertaintyBudget")
+    _text(one, "name", f"Uncertainty budget of {result.key}")
+    k = f"{result.coverage_factor:.4g}"
+    said = f"effective degrees of freedom {result.dof:.4g}, k = {k} for {PROBABILITY:.0%} (JCGM 100:2008 G.4)"
+    _text(one, "description", said)
+    data, lines = _add(one, "data"), result.contributions
+    rows = _add(data, "list", refType="rig_uncertaintyBudget")
+    for name, texts in (
+        ("Contribution", [line.name for line in lines]), ("Type", [line.kind for line in lines]),
+        ("Distribution", [line.distribution for line in lines]), ("Source", [line.source or "-" for line in lines]),
+    ):  # fmt: skip
+        quantity = _add(rows, "quantity", refType=f"rig_{name.lower()}")
+        _text(quantity, "name", name)
+        words = (re.sub(r"\s+", "_", printable(flat(text), f"digital certificate: {name}")) for text in texts)
+        _add(quantity, "charsXMLList", " ".join(words))
+    _series(rows, "Degrees of freedom", "rig_degreesOfFreedom", (min(line.dof, MANY) for line in lines), "1")
+    _series(rows, "Standard uncertainty of the result", "rig_standardUncertainty",
+            (line.sensitivity * line.u for line in lines), result.unit)  # fmt: skip
+    quantity = _add(data, "quantity", refType="rig_effectiveDegreesOfFreedom")
+    _text(quantity, "name", "Effective degrees of freedom")
+    real = _si(quantity, "real")
+    _si(real, "label", f"{result.key}{OF_FREEDOM}")
+    _si(real, "value", _number(min(result.dof, MANY), result.key))
+    _si(real, "unit", _unit("1"))
 
 
 def _equipment(measured: ET.Element, calibration: Calibration) -> None:
@@ -216,7 +279,7 @@ def _quantity(data: ET.Element, result: Result) -> None:
         _si(expanded, "uncertainty", _number(result.expanded, result.key))
         _si(expanded, "coverageFactor", _number(result.coverage_factor, result.key))
         _si(expanded, "coverageProbability", f"{PROBABILITY}")
-        _si(expanded, "distribution", "normal" if math.isinf(result.dof) else "t")
+        _si(expanded, "distribution", "normal" if round(result.coverage_factor, 2) == NORMAL else "t")
     if result.verdict is not None:
         meta = _add(_add(quantity, "measurementMetaData"), "metaData", refType="basic_conformity")
         _text(meta, "declaration", f"{result.ruling}, guard band w = U")
@@ -239,7 +302,7 @@ def _response(results: ET.Element, channel: str, points: Sequence[ResponsePoint]
         one = _add(results, "result", refType="rig_frequencyResponse")
         _text(one, "name", f"Frequency response of {channel}, level {level}")
         rows = _add(_add(one, "data"), "list", refType="rig_frequencyResponse")
-        _series(rows, "Frequency", "basic_frequency", (p.frequency for p in chosen), "Hz")
+        _series(rows, "Frequency", "vib_frequency", (p.frequency for p in chosen), "Hz")
         _series(
             rows,
             "Magnitude",

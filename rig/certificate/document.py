@@ -6,12 +6,15 @@ import datetime as dt
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.calibrate.calibration import Calibration, Result, shown
 from rig.calibrate.judging import like_sensors
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
+
+if TYPE_CHECKING:
+    from rig.certificate.issuer import Issuer
 
 COVERAGE = (
     "The reported expanded uncertainty U is the standard uncertainty multiplied by the coverage factor k given with "
@@ -20,8 +23,11 @@ COVERAGE = (
 )
 DECISION = (
     "Decision rule: guard band w = U on both sides of each limit. Pass: the interval y ± U lies within the limits. "
-    "Fail: it lies wholly outside. Otherwise inconclusive (ISO 14253-1:2017, ILAC-G8:09/2019 4.2.3)."
+    "Fail: it lies wholly outside. Otherwise inconclusive (ISO 14253-1:2017, ILAC-G8:09/2019 4.2.3), as is what is "
+    "flagged. The probability of accepting what is outside, or rejecting what is inside, is at most 2.5 % per limit. "
+    "The limits are those of the item's data sheet."
 )
+NOT_STATED = "not stated"
 SIMULATED = (
     "SIMULATED: these results come from a simulated bench. No physical item was calibrated; this is no evidence of "
     "metrological traceability."
@@ -40,6 +46,11 @@ class Document:
     ended: str
     simulated: bool
     laboratory: str
+    customer: str
+    order: str
+    place: str
+    issued: str
+    signatories: tuple[tuple[str, str], ...]
     model: str
     agreement: str
     methods: tuple[str, ...]
@@ -50,7 +61,7 @@ class Document:
     program: str
 
 
-def document(calibration: Calibration) -> Document:
+def document(calibration: Calibration, issuer: Issuer | None = None) -> Document:
     """The certificate's texts; raises BadInput without results, or for a name or serial that cannot be printed."""
     if not calibration.results:
         raise BadInput(f"certificate of {calibration.name}: found no results, wanted at least one")
@@ -59,14 +70,13 @@ def document(calibration: Calibration) -> Document:
     starts = [source.started for source in calibration.sources] or [calibration.made]
     return Document(
         title="Calibration certificate",
-        identifier=identifier(calibration),
+        identifier=identifier(calibration, issuer),
         sensor=calibration.sensor,
         serial=calibration.serial,
         begun=_date(min(starts)),
         ended=_date(calibration.made),
         simulated=calibration.simulated,
-        laboratory=f"not stated; {'records imported into' if _imported(calibration) else 'bench controlled by'} the "
-        "program below",
+        **_issued(calibration, issuer),
         model=flat(calibration.model),
         agreement=calibration.agreement,
         methods=tuple(dict.fromkeys(r.method for r in calibration.results if r.method)),
@@ -78,18 +88,36 @@ def document(calibration: Calibration) -> Document:
     )
 
 
+def _issued(calibration: Calibration, issuer: Issuer | None) -> dict[str, Any]:
+    """What the laboratory's file says, and what nobody states."""
+    controlled = f"{'records imported into' if _imported(calibration) else 'bench controlled by'} the program below"
+    if issuer is None:
+        nobody = dict.fromkeys(("customer", "order", "place"), NOT_STATED)
+        return {**nobody, "laboratory": f"{NOT_STATED}; {controlled}", "issued": "", "signatories": ()}
+    where = {"laboratory": "in the laboratory", "customer": "at the customer's", "other": "elsewhere"}
+    texts = {
+        "laboratory": issuer.laboratory.words, "customer": issuer.customer.words if issuer.customer else NOT_STATED,
+        "order": issuer.order or NOT_STATED, "place": where[issuer.place],
+    }  # fmt: skip
+    return {
+        **{name: printable(flat(text), f"certificate: {name}") for name, text in texts.items()},
+        "issued": issuer.issued.isoformat() if issuer.issued else "",
+        "signatories": tuple((flat(one.name), flat(one.role)) for one in issuer.signatories),
+    }
+
+
 def _imported(calibration: Calibration) -> bool:
     """Whether somebody else measured: the program only read the records."""
     return any(source.procedure == "import" for source in calibration.sources)
 
 
-def identifier(calibration: Calibration) -> str:
-    """Name and a digest of what was concluded: two certificates that differ in a number differ in this."""
+def identifier(calibration: Calibration, issuer: Issuer | None = None) -> str:
+    """Name and a digest of what is said: two certificates that differ in a number or a customer differ in this."""
     content = (
         calibration.name, calibration.sensor, calibration.serial, calibration.made, calibration.simulated,
         [(s.run, s.digest) for s in calibration.sources],
         [(r.key, r.value, r.u, r.verdict, r.remarks) for r in calibration.results],
-        calibration.overdue, calibration.flags, calibration.model,
+        calibration.overdue, calibration.flags, calibration.model, *([] if issuer is None else [issuer.model_dump()]),
     )  # fmt: skip
     return f"{calibration.name}-{hashlib.sha256(repr(content).encode('utf-8', 'replace')).hexdigest()[:12]}"
 
@@ -115,6 +143,16 @@ def _remarks(result: Result) -> str:
 def _legal(c: str) -> bool:
     code = ord(c)
     return 0x20 <= code < 0x7F or 0xA0 <= code < 0xD800 or 0xE000 <= code < 0xFFFE or code >= 0x10000
+
+
+def budgeted(calibration: Calibration) -> list[Result]:
+    """Results whose budgets are printed: all that are judged, and a sensitivity of every kind; else the first."""
+    able = [result for result in calibration.results if result.determined and result.budget is not None]
+    chosen: dict[str, Result] = {}
+    for result in able:
+        if result.measurand == "sensitivity":
+            chosen.setdefault(result.unit, result)
+    return [one for one in able if one.verdict is not None or one in chosen.values()] or able[:1]
 
 
 def rows(results: Iterable[Result]) -> dict[str, dict[str, Result]]:

@@ -13,19 +13,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.archive.durable import write_whole
 from rig.calibrate.calibration import COMBINED, Calibration, Result
-from rig.certificate.document import COVERAGE, DECISION, document, flat, limits, printed, standard_rows
+from rig.certificate.document import COVERAGE, DECISION, budgeted, document, flat, limits, printed, standard_rows
 from rig.errors import BadInput
 from rig.printed import SHOWN
+
+if TYPE_CHECKING:
+    from rig.certificate.issuer import Issuer
 
 TEMPLATE = Path(__file__).with_name("certificate.typ")
 MOST_PAGES = 3
 SIZES = (8.6, 8.0, 7.2, 6.5)  # pt; the smaller ones for a calibration that fills more than three pages
 WORTH_A_PAGE = 0.25
-KEY = (COMBINED, "sensitivity", "offset", "deviation", "noise_density", "noise_bandwidth")
+KEY = (COMBINED, "sensitivity", "sensitivity_gravity", "offset", "deviation", "noise_density")
 WIDEST = 6  # columns of one table
 NOTHING: Mapping[str, bytes] = MappingProxyType({})
 KINDS = (("Accelerometers", "m/s²"), ("Gyros", "rad"))
@@ -33,18 +36,20 @@ QUANTITIES = {"acceleration": "Accelerometers", "rate": "Gyros"}
 NOT_DETERMINED, PREFIX = "n. d.", "not determined: "
 
 
-def write_pdf(calibration: Calibration, path: Path, figures: Mapping[str, bytes] = NOTHING) -> None:
+def write_pdf(
+    calibration: Calibration, path: Path, figures: Mapping[str, bytes] = NOTHING, issuer: Issuer | None = None
+) -> None:
     """Write the certificate; the same calibration gives the same bytes.
 
     `figures` are SVG pictures by name; the name is printed below. Raises BadInput without results, for texts that
     cannot be printed, and for a figure that is no SVG.
     """
-    write_whole(path, compiled(calibration, figures))
+    write_whole(path, compiled(calibration, figures, issuer))
 
 
-def compiled(calibration: Calibration, figures: Mapping[str, bytes] = NOTHING) -> bytes:
-    """The certificate as PDF, in the largest type that keeps it within three pages."""
-    body = content(calibration) | {"figures": _pictures(figures)}
+def compiled(calibration: Calibration, figures: Mapping[str, bytes] = NOTHING, issuer: Issuer | None = None) -> bytes:
+    """The certificate as PDF, in the largest type that keeps all but its annex of budgets within three pages."""
+    body = content(calibration, issuer) | {"figures": _pictures(figures)}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / TEMPLATE.name).write_bytes(TEMPLATE.read_bytes())
@@ -67,7 +72,7 @@ def _largest(file: Path, body: Mapping[str, Any], made: float) -> bytes:
 
 
 def _typeset(file: Path, made: float) -> tuple[bytes, int, float]:
-    """The PDF, how many pages it has, and how far down the last of them is filled (0 to 1)."""
+    """The PDF, how many pages stand before its annex, and how far down the last of them is filled (0 to 1)."""
     import typst
 
     compiler = typst.Compiler(str(file), root=str(file.parent), ignore_system_fonts=True)
@@ -87,9 +92,9 @@ def _pictures(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
     return [{"name": flat(name), "file": f"figure-{index}.svg"} for index, name in enumerate(figures)]
 
 
-def content(calibration: Calibration) -> dict[str, Any]:
+def content(calibration: Calibration, issuer: Issuer | None = None) -> dict[str, Any]:
     """Everything on the certificate, as texts in lists and mappings; raises BadInput as `document` does."""
-    words = document(calibration)
+    words = document(calibration, issuer)
     notes = _notes(calibration.results)
     standards = standard_rows(calibration)
     return asdict(words) | {
@@ -100,7 +105,7 @@ def content(calibration: Calibration) -> dict[str, Any]:
         "overdue": list(_overdue(calibration, standards)),
         "tables": list(_tables(calibration, notes)),
         "conformity": [_conformity(r) for r in calibration.results if r.determined and r.verdict is not None],
-        "budgets": [_budget(result) for result in _budgeted(calibration)],
+        "budgets": [_budget(result) for result in budgeted(calibration)],
         "notes": [_printed_note(text, *note) for text, note in notes.items()],
         "sources": [{**asdict(source), "digest": source.digest[:16]} for source in calibration.sources],
     }
@@ -164,6 +169,8 @@ def _tables(calibration: Calibration, notes: Notes) -> Iterable[dict[str, Any]]:
 def _kind(calibration: Calibration, channel: str) -> str:
     sensor = calibration.under_test
     sensed = sensor.channel(channel).quantity if channel in sensor else channel
+    if sensed in (triad.name for triad in sensor.triads):  # angles between its axes
+        sensed = sensor.triad(sensed).quantity
     if sensed in QUANTITIES:
         return QUANTITIES[sensed]
     for result in (r for r in calibration.results if r.channel == channel):
@@ -232,6 +239,17 @@ def _minus(number: str) -> str:
     return number.replace("-", "" if zero else "−")
 
 
+def written(number: float, digits: int = 3) -> str:
+    """As people write it: 6.2 × 10⁻⁵, never 6.2e-05."""
+    mantissa, _, exponent = f"{number:.{digits}g}".partition("e")
+    return _minus(mantissa) + (f" × 10{exponent_of(int(exponent))}" if exponent else "")
+
+
+def exponent_of(power: int) -> str:
+    """A power in raised digits."""
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
 def _conformity(result: Result) -> dict[str, str]:
     value, expanded, unit = printed(result)
     uncertainty = "" if result.budget is None else f" ± {expanded}"
@@ -243,16 +261,6 @@ def _conformity(result: Result) -> dict[str, str]:
         "limits": _minus(limits(result)),
         "verdict": result.ruling,
     }
-
-
-def _budgeted(calibration: Calibration) -> list[Result]:
-    """One sensitivity of each kind of sensor; the first result with a budget where there is none."""
-    able = [result for result in calibration.results if result.determined and result.budget is not None]
-    chosen: dict[str, Result] = {}
-    for result in able:
-        if result.measurand == "sensitivity":
-            chosen.setdefault(result.unit, result)
-    return list(chosen.values())[:2] or able[:1]
 
 
 def _budget(result: Result) -> dict[str, Any]:
@@ -271,14 +279,14 @@ def _budget(result: Result) -> dict[str, Any]:
                 "kind": one.kind,
                 "distribution": one.distribution,
                 "dof": _degrees(one.dof),
-                "u": _minus(f"{one.u:.3g}") + ("" if one.unit == "1" else f" {one.unit}"),
-                "sensitivity": _minus(f"{one.sensitivity:.4g}"),
-                "contribution": _minus(f"{one.contribution * abs(factor):.3g}"),
+                "u": written(one.u) + ("" if one.unit == "1" else f" {one.unit}"),
+                "sensitivity": written(one.sensitivity, 4),
+                "contribution": written(one.contribution * abs(factor)),
                 "share": _minus(f"{100 * shares[one.name]:.1f}"),
             }
             for one in result.contributions
         ],
-        "u": f"{result.u * abs(factor):.3g}",
+        "u": written(result.u * abs(factor)),
         "dof": _degrees(result.dof),
         "k": _k(result),
         "stated": f"{_minus(value)} ± {expanded} {unit}",

@@ -129,13 +129,19 @@ def _interval_text(one: dict[str, Any]) -> str:
 @NAME
 @RECORDER
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder.", show_default="reports/<name>")
+@click.option(
+    "--laboratory",
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Who issues it, for whom, who signs: a file such as configs/laboratories/example.yaml.",
+)
 @MODEL
 @effects_option
 @runs_option
 @json_option
 def certify(
-    names: tuple[str, ...], name: str | None, recorder: str | None, out: Path | None, model: Path | None,
-    effects: Path | None, runs: Path, as_json: bool,
+    names: tuple[str, ...], name: str | None, recorder: str | None, out: Path | None, laboratory: Path | None,
+    model: Path | None, effects: Path | None, runs: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Calibrate from runs and write the certificate as PDF and as digital calibration certificate (DCC 3.2.1).
 
@@ -147,17 +153,19 @@ def certify(
     """
     from rig.calibrate.calibration import path_of, save
     from rig.certificate.dcc import write_dcc
+    from rig.certificate.issuer import load
     from rig.certificate.pdf import write_pdf
     from rig.report.run_figures import svg_of_response
 
+    issuer = None if laboratory is None else load(laboratory)
     made, _ = _calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = out or runs / "reports" / made.name
     folder.mkdir(parents=True, exist_ok=True)
     pdf, dcc = folder / f"{made.name}.pdf", folder / f"{made.name}.xml"
-    write_dcc(made, dcc)
-    write_pdf(made, pdf, svg_of_response(made))
+    write_dcc(made, dcc, issuer)
+    write_pdf(made, pdf, svg_of_response(made), issuer)
     save(made, path)
     if as_json:
         print_json({"calibration": made.name, "pdf": str(pdf), "dcc": str(dcc), "simulated": made.simulated})

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import datetime as dt
 import importlib
+import math
 import os
 import re
 import sys
 import types
+import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,10 +21,12 @@ from example_calibration import example
 
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, not_determined
-from rig.certificate.dcc import write_dcc, xml
-from rig.certificate.document import standard_rows
-from rig.certificate.pdf import compiled, write_pdf
-from rig.errors import BadInput
+from rig.certificate.dcc import DCC, MANY, OF_FREEDOM, write_dcc, xml
+from rig.certificate.document import identifier, standard_rows
+from rig.certificate.issuer import Issuer
+from rig.certificate.issuer import load as load_issuer
+from rig.certificate.pdf import compiled, write_pdf, written
+from rig.errors import BadInput, ConfigError
 
 SHARED = Path(os.environ.get("RIG_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 SVG = (
@@ -127,13 +131,17 @@ def printed_text() -> str:
 
 
 @pytest.mark.parametrize("calibration", EDGES.values(), ids=EDGES)
-def test_the_certificate_has_one_to_three_pages(calibration: Calibration) -> None:
-    assert 1 <= pages(compiled(calibration)) <= 3
+def test_the_certificate_has_one_to_three_pages_before_its_annex(calibration: Calibration) -> None:
+    content = compiled(calibration)
+    before, annex, _ = text(content).partition("Annex:uncertaintybudgets")
+    ended = len(re.findall(r"Page\d+of\d+", before)) if annex else pages(content)
+    assert 1 <= ended <= 3
+    assert bool(annex) == any(one.budget is not None for one in calibration.results)
 
 
 def test_the_paper_states_item_dates_methods_conditions_and_coverage(printed_text: str) -> None:
     for wanted in (
-        "Calibration certificate", "Sensor Cube", "SIM-CUBE-1", "Page1of2", "2026-11-18", "static record",
+        "Calibration certificate", "Sensor Cube", "SIM-CUBE-1", "Page1of3", "2026-11-18", "static record",
         "sine approximation against the vibrometer", "23.2 °C (22.1 °C to 25.0 °C)", "coverage probability of 95 %",
         "guard band w = U", "rig 0.1.0", "The sweeps cover one mounting only",
     ):  # fmt: skip
@@ -292,8 +300,10 @@ def schema() -> Any:
 def test_the_digital_certificate_validates(schema: Any, calibration: Calibration) -> None:
     from lxml import etree
 
+    issuer = example_issuer().model_copy(update={"issued": dt.date(2026, 12, 1)})
     for case in (calibration, replace(calibration, simulated=False, overdue=("vibrometer",))):
-        assert schema.validate(etree.fromstring(xml(case))), schema.error_log
+        for stated in (None, issuer, issuer.model_copy(update={"customer": None, "signatories": ()})):
+            assert schema.validate(etree.fromstring(xml(case, stated))), schema.error_log
 
 
 def _without_signatures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -334,6 +344,9 @@ def test_pydcc_reads_the_same_values_and_uncertainties_back(offline_home: Path, 
     write_dcc(calibration, path)
     read = DCC(str(path))
     reals = {row["real"]["label"]: row["real"] for _, row in read.get_calibration_results("name") if "real" in row}
+    freedom = {label: reals.pop(label) for label in list(reals) if label.endswith(OF_FREEDOM)}
+    judged = [result for result in calibration.results if result.determined and result.verdict is not None]
+    assert all(float(freedom[f"{one.key}{OF_FREEDOM}"]["value"]) == min(one.dof, MANY) for one in judged)
     determined = [result for result in calibration.results if result.determined]
     assert len(reals) == len(determined)
     for result in determined:
@@ -361,3 +374,74 @@ def test_a_number_that_is_not_finite_or_a_unit_unknown_to_si_is_refused() -> Non
         xml(replace(bare(), results=(replace(one, value=float("inf")),)))
     with pytest.raises(BadInput, match="furlong"):
         xml(replace(bare(), results=(replace(one, unit="furlong"),)))
+
+
+def example_issuer() -> Issuer:
+    return load_issuer(Path(__file__).parents[2] / "configs" / "laboratories" / "example.yaml")
+
+
+def test_laboratory_customer_order_and_signatories_are_printed() -> None:
+    issuer = example_issuer()
+    said = text(compiled(example(), issuer=issuer))
+    assert issuer.customer is not None
+    for wanted in (
+        issuer.laboratory.name, issuer.laboratory.code, issuer.laboratory.address, issuer.customer.name, issuer.order,
+        *(one.name for one in issuer.signatories), *(one.role for one in issuer.signatories),
+    ):  # fmt: skip
+        assert wanted is not None
+        assert "".join(wanted.split()) in said, wanted
+    assert "notstated" not in said.partition("Methods")[0]
+
+
+def test_laboratory_customer_order_and_signatories_are_in_the_digital_certificate() -> None:
+    issuer = example_issuer()
+    found = xml(example(), issuer.model_copy(update={"issued": dt.date(2026, 12, 1)}))
+    root = ET.fromstring(found)
+    data = "dcc:administrativeData/dcc:"
+
+    def said(path: str) -> list[str | None]:
+        return [one.text for one in root.findall(data + path, {"dcc": DCC})]
+
+    assert said("coreData/dcc:countryCodeISO3166_1") == ["DE"]
+    assert said("coreData/dcc:identifications/dcc:identification/dcc:value") == [issuer.order]
+    assert said("coreData/dcc:issueDate") == ["2026-12-01"]
+    assert said("calibrationLaboratory/dcc:calibrationLaboratoryCode") == ["EX-D-00000"]
+    assert said("customer/dcc:name/dcc:content") == ["Example Robotics"]
+    assert said("customer/dcc:location/dcc:countryCode") == ["FR"]
+    assert said("respPersons/dcc:respPerson/dcc:mainSigner") == ["true", "false"]
+    assert said("respPersons/dcc:respPerson/dcc:role") == ["head of laboratory", "technician"]
+
+
+def test_another_customer_gives_another_identification() -> None:
+    issuer = example_issuer()
+    others = [identifier(example()), identifier(example(), issuer)]
+    others.append(identifier(example(), issuer.model_copy(update={"customer": None})))
+    assert len(set(others)) == 3
+
+
+def test_mistakes_in_a_laboratorys_file_are_named_where_they_stand(tmp_path: Path) -> None:
+    (tmp_path / "lab.yaml").write_text("laboratory: {name: L, country: Germany}\nsigned: no\n")
+    with pytest.raises(ConfigError) as caught:
+        load_issuer(tmp_path / "lab.yaml")
+    assert {(p.line, p.key) for p in caught.value.problems} == {(1, "laboratory.country"), (2, "signed")}
+
+
+def test_the_digital_certificate_has_the_budget_of_every_judged_result() -> None:
+    found = xml(example())
+    names, space = [], {"dcc": DCC, "si": "https://ptb.de/si"}
+    for one in ET.fromstring(found).iterfind(".//dcc:result[@refType='rig_uncertaintyBudget']", space):
+        key = str(one.findtext("dcc:name/dcc:content", "", space)).removeprefix("Uncertainty budget of ")
+        result = example().result(key)
+        shares = one.findtext(".//dcc:quantity[@refType='rig_standardUncertainty']//si:valueXMLList", "", space).split()
+        assert math.hypot(*map(float, shares)) == pytest.approx(result.u)
+        listed = one.findtext(".//dcc:quantity[@refType='rig_contribution']/dcc:charsXMLList", "", space)
+        assert len(listed.split()) == len(shares) == len(result.contributions)
+        names.append(key)
+    assert {r.key for r in example().results if r.verdict is not None and r.determined} <= set(names)
+
+
+@pytest.mark.parametrize(("number", "said"), [
+    (6.2e-5, "6.2 × 10⁻⁵"), (0.0, "0"), (-1.5e-7, "−1.5 × 10⁻⁷"), (0.0123456, "0.0123"), (3e12, "3 × 10¹²"),
+])  # fmt: skip
+def test_numbers_are_written_as_people_write_them(number: float, said: str) -> None:
+    assert written(number) == said

@@ -35,6 +35,7 @@ from rig.yaml import config
 
 SHIPPED = {
     "bench": "configs/benches", "manifest": "configs/imports", "procedure": "procedures", "sensor": "configs/sensors",
+    "laboratory": "configs/laboratories",
     "standard": "configs/standards", "world": "configs/worlds",
 }  # fmt: skip
 FILES = [(kind, path) for kind, folder in SHIPPED.items() for path in sorted((pages.ROOT / folder).glob("*.yaml"))]
@@ -132,6 +133,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "model": lambda path: model_file.load(path, shelf()),
     "procedure": _procedure,
     "sensor": lambda path: config.load(path, SensorFile),
+    "laboratory": "configs/laboratories",
     "standard": lambda path: config.load(path, Standard),
     "world": _world,
 }

@@ -97,6 +97,17 @@ def test_random_walk_is_found_with_the_error_that_is_stated() -> None:
     assert 0.7 < errors(fits, "random_walk", 0.02) < 1.35
 
 
+def test_flicker_in_a_short_record_is_no_random_walk() -> None:
+    named = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        record = white(rng, 3000, 1000.0, 1.0, 100.0) + flicker(rng, 3000, 1000.0, 5.0)
+        found = noise.fit(record, 1000.0, step=0, pole=100.0)
+        named.append("random_walk" in found.terms)
+        assert (found.refused.get("random_walk", "") != "") != named[-1]
+    assert not any(named)
+
+
 def test_pure_white_noise_has_no_bias_instability_and_no_random_walk() -> None:
     for seed in range(40):
         found = noise.fit(white(np.random.default_rng(seed), 20_000, 100.0, 2.0), 100.0, step=0, pole=20.0)

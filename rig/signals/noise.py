@@ -28,6 +28,7 @@ CLUSTERS = 9.0  # random walk: clusters in the record at the averaging time wher
 HIGHEST_POLE = 0.4  # of the sampling rate; above it the filter cannot be told from aliased white noise
 LARGEST_LOG_U = 0.5  # relative standard uncertainty beyond which a coefficient is not determined
 TOLD = 1000.0  # likelihood ratio that tells a random walk from flicker; 150 at most in 1140 short records without one
+ALIKE = "random walk and flicker cannot be told apart in this record"
 SHOWN = 2.0  # of the log-likelihood: what a term of two standard deviations gains
 EULER = 0.5772156649015329
 
@@ -449,26 +450,25 @@ def _chosen(trials: Sequence[_Trial], lines: Lines, quantisation: float, refused
             reasons.setdefault(name, reason)
     else:
         trial = next(t for t in ranked if t.names == ("white",))
-    if (other := _alike(trial, ranked, lines, quantisation)) is not None:
-        trial, reasons["random_walk"] = other, "cannot be told from flicker in this record"
+    if _alike(trial, ranked, lines, quantisation):
+        refused["random_walk"] = refused["flicker"] = ALIKE
     present = {*trial.names, *(() if trial.slope is None else ("ramp",))}
     for name in ("flicker", "random_walk", "pole", "ramp"):
         if name not in present:
-            refused[name] = reasons.get(name, UNNEEDED)
+            refused.setdefault(name, reasons.get(name, UNNEEDED))
     return trial
 
 
-def _alike(trial: _Trial, ranked: Sequence[_Trial], lines: Lines, quantisation: float) -> _Trial | None:
-    """The best candidate with flicker in place of a random walk, if it explains the lines nearly as well.
+def _alike(trial: _Trial, ranked: Sequence[_Trial], lines: Lines, quantisation: float) -> bool:
+    """Whether flicker in place of a random walk explains the lines nearly as well: then neither is stated.
 
     Few low lines follow 1/f as well as 1/f²: it takes a likelihood ratio that flicker does not reach by chance.
     """
     if "random_walk" not in trial.names or "flicker" in trial.names:
-        return None
+        return False
     flickering = (one for one in ranked if "flicker" in one.names and "random_walk" not in one.names)
     other = next((one for one in flickering if not _faults(one, lines, quantisation)), None)
-    near = other is not None and trial.log_likelihood - other.log_likelihood < math.log(TOLD)
-    return other if near else None
+    return other is not None and trial.log_likelihood - other.log_likelihood < math.log(TOLD)
 
 
 def _faults(trial: _Trial, lines: Lines, quantisation: float) -> dict[str, str]:

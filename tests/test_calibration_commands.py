@@ -90,10 +90,30 @@ def test_two_calibrations_of_the_same_runs_agree(runs: Path) -> None:
     assert all(row["agrees"] for row in rows)
 
 
+def test_a_unit_is_calibrated_by_another_that_rode_with_it(runs: Path) -> None:
+    first = json.loads((runs / "first.json").read_text())
+    assert rig(runs, "turntable", "--rpm", "45", "--revolutions", "4").returncode == 0
+    done = rig(runs, "qualify", "last", "--by", "first", "--reference", "gyro", "--name", "carried", "--json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    by_key = {result["key"]: result for result in said["results"]}
+    before = {result["key"]: result for result in first["results"]}
+    found, direct = by_key["backup_yaw.sensitivity"], before["backup_yaw.sensitivity"]
+    assert found["value"] == pytest.approx(direct["value"], abs=2.0 * (found["u"] ** 2 + direct["u"] ** 2) ** 0.5)
+    assert found["reference"] == "gyro_yaw by calibration first"
+    assert [row["key"] for row in said["against"]] == ["backup_yaw.sensitivity"]
+    shown = rig(runs, "qualify", "last", "--by", "first", "--reference", "gyro", "--last", "first").stdout
+    assert "against the calibration first" in shown
+    compared = json.loads(rig(runs, "compare-calibrations", "first", "carried", "--json").stdout)
+    assert any(row["key"] == "backup_yaw.sensitivity" and row["agrees"] for row in compared)
+
+
 @pytest.mark.parametrize(
     "words",
     [
         ("calibrate", "nothing"),
+        ("qualify", "last", "--by", "nothing", "--reference", "gyro"),
+        ("qualify", "all", "--by", "first", "--reference", "gyro"),
         ("calibrate", "all", "--name", "../x"),
         ("export", "nothing", "--to", "csv"),
         ("compare-calibrations", "first", "nothing"),

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.calibrate.adjustment import Adjustment, Prior, adjust
-from rig.calibrate.allowances import Misfit, cosine, misfit, temperature
+from rig.calibrate.allowances import Misfit, cosine, misfit, of_sheet, temperature
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import ResponsePoint, Result, not_determined
 from rig.errors import BadInput
@@ -31,7 +31,7 @@ Complexes = NDArray[np.complex128]
 Referred = Callable[[str, str, str, float, float, str], Result]  # measurand, title, unit, V, u, method: to the input
 SENSITIVITY = "V/(m/s²)"
 CREST = 8.0  # of what a fit leaves over, in standard deviations: noise reaches 6.5 in 10¹⁰ samples
-VERIFICATION, DATA_SHEET = "verification of the filter", "data sheet"  # sources of priors
+VERIFICATION = "verification of the filter"
 POLE_PRIOR = 0.5  # of the logarithm: the data sheet's bandwidth within a factor of about two
 
 
@@ -173,7 +173,7 @@ def sensitivity_result(fit: ChannelFit, setup: Setup, remount: Contribution | No
         Contribution("vibrometer range", "B", "normal", 0.0, "1", s, source="certificate: one gain for all ranges"),
         _prior(fit, "decoder delay", "delay", chain.delay.u, "s", chain.delay.source),
         _prior(fit, "low-pass cut-off", "cutoff", chain.u_cutoff, "1", VERIFICATION),
-        _prior(fit, "output filter", "log_pole", POLE_PRIOR, "1", DATA_SHEET),
+        _prior(fit, "output filter", "log_pole", POLE_PRIOR, "1", of_sheet(fit.channel)),
         Contribution("time base", "B", "normal", chain.time_base.u, "1", s, source=chain.time_base.source),
         cosine("beam to motion", setup.beam, s, runs),
         cosine("mounting angle", setup.mount, s, runs),
@@ -278,7 +278,7 @@ def pole_result(fit: ChannelFit, chain: Chain) -> Result:
     adjustment, pole = fit.adjustment, fit.pole
     names = {
         "delay": ("decoder delay", "s", chain.delay.source), "cutoff": ("low-pass cut-off", "1", VERIFICATION),
-        "log_pole": ("output filter", "1", DATA_SHEET),
+        "log_pole": ("output filter", "1", of_sheet(fit.channel)),
     }  # fmt: skip
     lines = [
         Contribution(

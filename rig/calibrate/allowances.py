@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -41,12 +42,21 @@ def misfit(chi2: float, dof: int, what: str, noise_dof: float = math.inf) -> Mis
     )
 
 
+SHEET = "data sheet"
+
+
+def of_sheet(channel: str) -> str:
+    """The source of an error that is this sensor's own within what its data sheet allows."""
+    return f"{SHEET} of {channel}"
+
+
 def in_runs(words: str, runs: Iterable[str]) -> str:
     """The source of an error that is these runs' own (how things were mounted, the day's temperature): what two results
     from the same runs share, and no two calibrations from different ones (GUM 5.2.4, F.1.2.3).
     """
     names = sorted(set(runs))
-    more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+    rest = hashlib.sha256("\n".join(names).encode()).hexdigest()[:6]
+    more = f" and {len(names) - 2} more ({rest})" if len(names) > 2 else ""
     return f"{words}, {', '.join(names[:2])}{more}"
 
 

@@ -81,16 +81,16 @@ def _of_bench(
     fits, unfitted = ({}, ()) if assumed is None else _fitted(looked.runs, assumed, basis.recorder)
     shaken = ShakerRuns(basis)
     turned = TurntableRuns(basis)
-    results = _on_model(shaken, turned, assumed, fits)
-    results += [*_noise(basis, results, shaken, turned), *tumble_runs.results(basis, assumed)]
-    clocks = [] if chosen == "cube" else [one for run in runs if (one := clock_of(run)) is not None]
     influences = Influences(runs, chosen)
-    results = list(influences.added(results))
+    results = _on_model(shaken, turned, assumed, fits)
+    second = second_route(basis.runs, sensor, shaken.setup())
+    by_analyzer = [] if second is None else list(influences.added(second.results(results)))
+    results = list(influences.added([*results, *tumble_runs.results(basis, assumed)]))
+    results += _noise(basis, results, shaken, turned)
+    clocks = [] if chosen == "cube" else [one for run in runs if (one := clock_of(run)) is not None]
     results = [*flagged(looked.flagged(said(results, basis.recorder)), clocks), *looked.rows(sensor)]
     _refuse_nothing(runs, results)
-    second = second_route(basis.runs, sensor, shaken.setup())
-    if second is not None:
-        results += influences.added(second.results(results))
+    results += by_analyzer
     relative = tuple(influences.flags(results))
     return Calibration(
         name=name,
@@ -102,8 +102,8 @@ def _of_bench(
         standards=tuple(header["standards"]),
         conditions=resting.conditions_of(runs),
         results=_concluded(results, sensor),
-        responses=shaken.responses(),
-        analyzer={} if second is None else second.responses(),
+        responses=influences.widened(shaken.responses(), "sweep"),
+        analyzer={} if second is None else influences.widened(second.responses(), "analyzer"),
         paper=tuple(_paper(shaken, basis)),
         overdue=tuple(dict.fromkeys(late for records in runs for late in records.header["overdue_overridden"])),
         flags=tuple(dict.fromkeys([*looked.flags(), *unfitted, *_flags(basis, shaken, turned, second), *relative])),

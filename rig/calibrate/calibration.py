@@ -294,12 +294,15 @@ class Calibration:
 
     def to_use(self, channel: str, measurand: str) -> Result | None:
         """The one value of a channel to use, None if there is none: of a sensitivity that of all references combined,
-        else the surest by one of them that is not flagged.
+        else what a sweep or the turntable gave, else gravity's. One that was measured and not believed has no other.
         """
         if measurand != "sensitivity":
             return self.find(f"{channel}.{measurand}")
-        found = [r for name in (COMBINED, *ROUTES[:2]) if (r := self.find(f"{channel}.{name}")) is not None]
-        return min(found, key=lambda r: (r.measurand != COMBINED, r.status == "flagged", r.u), default=None)
+        listed = {r.measurand: r for r in self.results if r.channel == channel}
+        if any(r.rejected for name, r in listed.items() if name in ROUTES):
+            return None
+        found = [r for name in (COMBINED, *ROUTES[:2]) if (r := listed.get(name)) is not None and r.determined]
+        return min(found, key=lambda r: (r.measurand != COMBINED, r.status == "flagged"), default=None)
 
     def used(self, measurand: str) -> Iterator[Result]:
         """What `to_use` gives of all channels that have it."""

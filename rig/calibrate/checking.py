@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.calibrate.budget import Contribution, Draw, MonteCarlo, monte_carlo, validated
-from rig.calibrate.calibration import Calibration, Result
+from rig.calibrate.calibration import COMBINED, Calibration, Result
 
 SEED = 20_231
 DRAWS = 1_000_000
-MEASURANDS = ("sensitivity", "sensitivity_gravity", "sensitivity_centripetal")
+MEASURANDS = (COMBINED, "sensitivity", "sensitivity_gravity", "sensitivity_centripetal")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import COMBINED, ROUTES, Result, covariance_of, text
@@ -22,23 +21,27 @@ from rig.calibrate.gyros import WHOLE_BUDGET
 from rig.calibrate.judging import judged
 from rig.sensor import Sensor
 
-UNLIKELY = 0.05  # of a whole calibration without a wrong reference: that one of its channels is said to disagree
+UNLIKELY = 0.025  # with sound references: that a calibration's are said to disagree, and that a channel's of it are
 
 
 def combined(results: Sequence[Result], sensor: Sensor) -> Iterator[Result]:
-    """The results, and before those of a channel that more than one reference has determined one row of all of them."""
+    """The results, and before those of a channel that more than one reference has determined one row of all of them,
+    which alone is judged: of the others only what fails remains.
+    """
+    results = [one for one in results if one.measurand != COMBINED]
     groups: dict[str, list[Result]] = {}
     for one in results:
         if one.measurand in ROUTES and one.determined and one.status == "determined" and _whole(one):
             groups.setdefault(one.channel, []).append(one)
     several = {channel: group for channel, group in groups.items() if len(group) > 1 and channel in sensor}
-    count = len(several)
+    apart, made = _apart(several.values()), set[str]()
     for one in results:
-        group = several.pop(one.channel, None)
-        if group is not None:
-            row, channel = _of(group, UNLIKELY / count), sensor.channel(one.channel)
+        if one.channel in several and one.channel not in made:
+            made.add(one.channel)
+            row, channel = _of(several[one.channel], UNLIKELY / len(several), apart), sensor.channel(one.channel)
             yield judged(row, channel.nominal, channel.tolerance)
-        yield one
+        kept = one.channel not in several or one.measurand not in ROUTES or one.verdict == "fail"
+        yield one if kept else replace(one, low=None, high=None, verdict=None)
 
 
 def _whole(one: Result) -> bool:
@@ -46,45 +49,77 @@ def _whole(one: Result) -> bool:
     return one.measurand != "sensitivity_centripetal" or {line.name for line in one.contributions} >= WHOLE_BUDGET
 
 
-def _of(group: Sequence[Result], unlikely: float) -> Result:
+def _apart(groups: Iterable[Sequence[Result]]) -> tuple[str, ...]:
+    """What is said if vibrometer and gravity differ by one factor in all channels by more than chance: the differences
+    share the vibrometer's gain, so their best mean tells more than each of them.
+    """
+    pairs = [pair for group in groups if len(pair := [one for one in group if one.measurand in ROUTES[:2]]) == 2]
+    if not pairs:
+        return ()
+    every = [one for pair in pairs for one in pair]
+    values = np.array([float(one.value or 1.0) for one in every])
+    relative = covariance_of(every) / np.outer(values, values)
+    signs = np.kron(np.eye(len(pairs)), np.array([1.0, -1.0]))
+    ratios = np.log(values[::2] / values[1::2])
+    inverse = np.linalg.pinv(signs @ relative @ signs.T, hermitian=True)
+    mean, u = float((inverse @ ratios).sum() / inverse.sum()), float(inverse.sum()) ** -0.5
+    if math.erfc(abs(mean) / u / math.sqrt(2.0)) >= UNLIKELY:
+        return ()
+    return (f"the references disagree: by the {_by(pairs[0][0])} sensitivities are {1.0 + mean:.5g} times those by "
+            f"{_by(pairs[0][1])}, {abs(mean) / u:.2g} standard uncertainties: one of them is off",)  # fmt: skip
+
+
+def _of(group: Sequence[Result], unlikely: float, apart: tuple[str, ...]) -> Result:
     from scipy.special import chdtrc
 
     values = np.array([float(one.value or 0.0) for one in group])
-    inverse = np.linalg.inv(covariance_of(group))
+    inverse = np.linalg.pinv(covariance_of(group), hermitian=True)
     weights = inverse.sum(axis=0) / inverse.sum()
     value = float(weights @ values)
     chi2, dof = float((values - value) @ inverse @ (values - value)), len(group) - 1
     probability = float(chdtrc(dof, chi2))
-    lines = list(_lines(group, weights))
-    said = "; ".join(f"{_by(one)} {text(one)}" for one in group)
-    said = f"{said}; χ² = {chi2:.2g} with {dof} degree{'s' if dof > 1 else ''} of freedom"
-    apart: tuple[str, ...] = ()
+    parts = [(label, one, float(weight)) for label, one, weight in zip(_labels(group), group, weights, strict=True)]
+    lines = list(weighted(parts))
     if probability < unlikely:
-        spread = Budget(tuple(lines)).u * math.sqrt(chi2 / dof - 1.0)
-        lines.append(Contribution("disagreement of the references", "A", "normal", spread, group[0].unit, 1.0, dof))
-        apart = (f"the references disagree (probability {probability:.2g}): one of them is off",)
+        apart = (*apart, f"the references disagree here (probability {probability:.2g}): one of them is off")
+    if apart and chi2 > dof:
+        size = Budget(tuple(lines)).u * math.sqrt(chi2 / dof - 1.0)
+        lines.append(Contribution("disagreement of the references", "B", "normal", size, group[0].unit, 1.0,
+                                  source=group[0].channel))  # fmt: skip
+    said = "; ".join(f"{label} {text(one)}" for label, one, _ in parts)
+    said = f"{said}; χ² = {chi2:.2g} with {dof} degree{'s' if dof > 1 else ''} of freedom"
+    others = tuple(dict.fromkeys(remark for one in group for remark in one.remarks))
     return replace(
         group[0], measurand=COMBINED, title="sensitivity, all references combined", value=value,
         budget=Budget(tuple(lines)), method="results by several references, mean weighted with their covariance",
-        reference="; ".join(dict.fromkeys(one.reference for one in group)), remarks=(*apart, said),
+        reference="; ".join(dict.fromkeys(one.reference for one in group)), remarks=(*apart, said, *others),
         status="flagged" if apart else "determined", low=None, high=None, verdict=None, check=None,
     )  # fmt: skip
 
 
-def _lines(group: Sequence[Result], weights: NDArray[np.float64]) -> Iterator[Contribution]:
-    """The budgets' lines by weight: those of one origin together, others under the name of their route."""
-    every = [(one, line, float(w)) for one, w in zip(group, weights, strict=True) for line in one.contributions]
+def weighted(parts: Sequence[tuple[str, Result, float]]) -> Iterator[Contribution]:
+    """Lines of a sum of results, each with a label of its own and a weight: what has one origin is one line, what has a
+    name in common with others is told by its label.
+    """
+    every = [(label, line, weight) for label, one, weight in parts for line in one.contributions]
     found: dict[tuple[str, str], Contribution] = {}
-    for one, line, weight in every:
-        origin = (line.name, line.source) if line.kind == "B" and line.source else (one.measurand, line.name)
+    for label, line, weight in every:
+        origin = (line.name, line.source) if line.kind == "B" and line.source else (label, line.name)
+        name = line.name if _alone(line.name, every) else f"{line.name} ({label})"
+        mine = replace(line, name=name, sensitivity=weight * line.sensitivity)
         before = found.get(origin)
-        if before is not None:
-            more = weight * line.sensitivity * line.u / before.u if before.u else 0.0
+        if before is None or not before.u:
+            found[origin] = mine
+        elif mine.u:
+            more = mine.sensitivity * mine.u / before.u
             found[origin] = replace(before, sensitivity=before.sensitivity + more)
-        else:
-            name = line.name if _alone(line.name, every) else f"{line.name} ({_by(one)})"
-            found[origin] = replace(line, name=name, sensitivity=weight * line.sensitivity)
     yield from found.values()
+
+
+def _labels(group: Sequence[Result]) -> list[str]:
+    """The references in a word or two, each told from the others."""
+    words = [_by(one) for one in group]
+    return [f"{w}, {one.measurand}" if words.count(w) > 1 else w for w, one in zip(words, group, strict=True)]
 
 
 def _by(one: Result) -> str:
@@ -92,8 +127,8 @@ def _by(one: Result) -> str:
     return one.reference.partition(",")[0]
 
 
-def _alone(name: str, every: Iterable[tuple[Result, Contribution, float]]) -> bool:
+def _alone(name: str, every: Iterable[tuple[str, Contribution, float]]) -> bool:
     """Whether all lines of a name are of one origin."""
-    lines = [(one.measurand, line) for one, line, _ in every if line.name == name]
-    sources = {line.source for _, line in lines}
-    return len(lines) == 1 or (len(sources) == 1 and sources != {""} and all(line.kind == "B" for _, line in lines))
+    lines = [line for _, line, _ in every if line.name == name]
+    sources = {line.source for line in lines}
+    return len(lines) == 1 or (len(sources) == 1 and sources != {""} and all(line.kind == "B" for line in lines))

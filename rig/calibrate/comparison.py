@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any
 
+from rig.calibrate.allowances import SHEET
 from rig.calibrate.budget import Contribution
 from rig.calibrate.calibration import Calibration, Result, text
 from rig.calibrate.verdict import agrees, normalised_error
-
-OF_UNIT = ("data sheet",)  # sources of errors that two units of a kind do not share
 
 
 @dataclass(frozen=True)
@@ -45,32 +43,32 @@ class Compared:
 def compare(first: Calibration, second: Calibration) -> list[Compared]:
     """Every measurand that both determined, in the order of the first (ISO/IEC 17043, ISO 13528)."""
     theirs = {r.key: r for r in second.results if r.determined}
-    apart = () if first.serial == second.serial else OF_UNIT
-    return [_compared(r, theirs[r.key], apart) for r in first.results if r.determined and r.key in theirs]
+    same = first.serial == second.serial
+    return [_compared(r, theirs[r.key], same) for r in first.results if r.determined and r.key in theirs]
 
 
-def _compared(one: Result, other: Result, apart: Container[str]) -> Compared:
+def _compared(one: Result, other: Result, same_unit: bool) -> Compared:
     mine, theirs = float(one.value or 0.0), float(other.value or 0.0)
-    r = correlation(one, other, apart)
+    r = correlation(one, other, same_unit=same_unit)
     en = normalised_error(theirs, other.expanded, mine, one.expanded, r)
     variance = one.expanded**2 + other.expanded**2 - 2.0 * r * one.expanded * other.expanded
     expanded = math.sqrt(max(variance, 0.0))
     return Compared(one.key, text(one), text(other), theirs - mine, expanded, one.unit, en)
 
 
-def correlation(one: Result, other: Result, apart: Container[str] = ()) -> float:
+def correlation(one: Result, other: Result, *, same_unit: bool = True) -> float:
     """Of two results: type B inputs of one name and source (a certificate, a run) are the same error in both.
 
-    An origin that is not named (no source) is taken as independent, as are the sources `apart`.
+    An origin that is not named (no source) is taken as independent; of two units, what a data sheet allows each.
     """
     mine, theirs = (
-        {(c.name, c.source): c.sensitivity * c.u for c in found.contributions if _named(c) and c.source not in apart}
+        {(c.name, c.source): c.sensitivity * c.u for c in found.contributions if _common(c, same_unit)}
         for found in (one, other)
     )
     common = sum(mine[origin] * theirs[origin] for origin in mine.keys() & theirs.keys())
     return max(-1.0, min(common / (one.u * other.u), 1.0)) if one.u and other.u else 0.0
 
 
-def _named(line: Contribution) -> bool:
-    """Whether it is known what its error belongs to."""
-    return line.kind == "B" and bool(line.source)
+def _common(line: Contribution, same_unit: bool) -> bool:
+    """Whether the error of a line may be another result's too."""
+    return line.kind == "B" and bool(line.source) and (same_unit or not line.source.startswith(SHEET))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.archive.records import Reference
-from rig.calibrate.allowances import Misfit, cosine, in_runs, misfit, temperature
+from rig.calibrate.allowances import Misfit, cosine, in_runs, misfit, of_sheet, temperature
 from rig.calibrate.budget import Budget, Contribution, half_width
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
@@ -29,7 +29,7 @@ from rig.signals.line import Solution, gls
 
 Array = NDArray[np.float64]
 SENSITIVITY = "V/(rad/s)"
-UNSEEN = ("asymmetry", "nonlinearity")  # of a gyro that was turned in one sense alone
+APART = 0.1  # of a speed: another one
 PLACE, PLATEN = "place of the sensing element", "tilt of the platter"
 WHOLE_BUDGET = frozenset({PLACE, PLATEN})  # lines that a sensitivity from ω²r needs before it may be relied on
 
@@ -231,22 +231,34 @@ def sensitivity_result(fit: PlatterFit, setup: Setup) -> Result:
 
 
 def _unseen(fit: PlatterFit, setup: Setup) -> tuple[tuple[Contribution, ...], tuple[str, ...]]:
-    """Budget lines and remarks for what one sense cannot tell from a sensitivity; its sign goes with the sense."""
-    rate = fit.blocks.rate
-    if rate.min() < 0.0 < rate.max():
-        return (), ()
+    """Budget lines and remarks for what these runs cannot tell from a sensitivity: an asymmetry needs both senses (and
+    its sign goes with the sense), a curve more than one speed.
+    """
+    rate = fit.blocks.rate[fit.blocks.rate != 0.0]
+    one_sense = bool(np.all(rate > 0.0) or np.all(rate < 0.0))
+    fastest = float(np.abs(rate).max())
+    one_speed = float(np.abs(rate).min()) > (1.0 - APART) * fastest
     along = math.copysign(fit.sensitivity, fit.sensitivity * float(rate.sum()))
-    limits = dict(zip(UNSEEN, setup.straight.get(fit.channel, (None, None)), strict=True))
+    how = f"{math.degrees(math.copysign(fastest, float(rate.sum())) if one_sense else fastest):.0f} °/s"
+    asymmetry, nonlinearity = setup.straight.get(fit.channel, (None, None))
+    hidden = [
+        ("asymmetry", asymmetry, along, of_sheet(fit.channel), one_sense),
+        ("nonlinearity", nonlinearity, fit.sensitivity, f"{of_sheet(fit.channel)}, at {how}", one_speed),
+    ]
+    unseen = [one for one in hidden if one[4]]
     lines = tuple(
-        Contribution(f"{name}, unseen in one sense", "B", "rectangular", half_width(limit, "rectangular"), "1", along,
-                     source="data sheet")
-        for name, limit in limits.items() if limit is not None
+        Contribution(f"{name}, unseen here", "B", "rectangular", half_width(limit, "rectangular"), "1", s,
+                     source=source)
+        for name, limit, s, source, _ in unseen if limit is not None
     )  # fmt: skip
-    missing = [name for name, limit in limits.items() if limit is None]
-    how = f"{' and '.join(missing)} not in the budget, as the sensor file states no limit" if missing else ""
-    by_file = f"{' and '.join(name for name in UNSEEN if name not in missing)} by the sensor file in the budget"
-    told = "; ".join(part for part in (by_file if lines else "", how) if part)
-    return lines, (f"turned in one sense only: {told} (`rig turntable --all` measures in both)",)
+    if not unseen:
+        return (), ()
+    stated = " and ".join(name for name, limit, *_ in unseen if limit is not None)
+    missing = " and ".join(name for name, limit, *_ in unseen if limit is None)
+    told = [f"{stated} by the sensor file in the budget"] if stated else []
+    told += [f"{missing} not in the budget, as the sensor file states no limit"] if missing else []
+    turned = " and ".join(w for w, so in (("in one sense", one_sense), ("at one speed", one_speed)) if so)
+    return lines, (f"turned {turned} only: {'; '.join(told)} (`rig turntable --all` measures both senses and speeds)",)
 
 
 def offset_result(fit: PlatterFit) -> Result:
@@ -358,7 +370,7 @@ def centripetal_result(fit: PlatterFit, radius: float, setup: Setup) -> Result:
     said = list(odd.remarks)
     if (place := setup.off_centre.get(fit.channel)) is not None:
         lines.append(Contribution(PLACE, "B", "rectangular", half_width(place, "rectangular"), "m", s / radius,
-                                  source="data sheet"))  # fmt: skip
+                                  source=of_sheet(fit.channel)))  # fmt: skip
     else:
         said.append("the radius is that of the cube's centre: where the element sits (`off_centre`) is not stated")
     if setup.platen is not None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from rig.archive.records import Recorded
 from rig.calibrate import imported_noise
+from rig.calibrate.allowances import in_runs
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import Calibration, Result, Source, not_determined
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, experiments
@@ -183,12 +184,13 @@ def _result(experiment: Experiment, name: str, what: tuple[str, str, str], found
     factor = max([1.0, *mine])
     lines = [Contribution(NOISE[0], "A", "normal", factor * found.u_noise / abs(scale), unit, 1.0)]
     called: dict[str, int] = {}
+    source = in_runs("stated", {part.run for part in experiment.fit.parts})
     for pull in found.pulls:
         if abs(pull.coefficient * pull.u) > NEGLIGIBLE * found.u:
             label = pull.name.replace("_", " ")
             called[label] = called.get(label, 0) + 1
             label = label if called[label] == 1 else f"{label} ({called[label]})"
-            lines.append(Contribution(label, "B", "normal", pull.u, "1", pull.coefficient / scale, source="stated"))
+            lines.append(Contribution(label, "B", "normal", pull.u, "1", pull.coefficient / scale, source=source))
     said = (() if experiment.worst is None else (inadequate(experiment, factor),)) + spoilt(experiment)
     return Result(
         name, measurand, title, found.value / scale, unit, Budget(tuple(lines)), remarks=said,

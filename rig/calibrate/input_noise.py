@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from rig import units
+from rig.calibrate.allowances import of_sheet
 from rig.calibrate.budget import Budget, Contribution, half_width
 from rig.calibrate.calibration import Result, not_determined
 from rig.calibrate.resting import Resting
@@ -43,7 +44,9 @@ class Scale:
 def scale_of(sensor: SensorChannel, own: Result | None) -> Scale:
     """The channel's own sensitivity if these runs determine it, else the data sheet's within its tolerance."""
     if own is not None and own.value is not None:
-        known = Contribution("sensitivity", "B", "normal", own.u / abs(own.value), "1", 1.0, source=own.reference)
+        known = Contribution(
+            "sensitivity", "B", "normal", own.u / abs(own.value), "1", 1.0, source=f"own, {own.value:.9g}"
+        )
         return Scale(own.value, known, (), "own sensitivity")
     remarks = ["by the data sheet's sensitivity"]
     line: Contribution | None = None
@@ -51,7 +54,7 @@ def scale_of(sensor: SensorChannel, own: Result | None) -> Scale:
         remarks.append("its tolerance is not declared and not in the budget")
     else:
         line = Contribution("sensitivity", "B", "rectangular", half_width(sensor.tolerance, "rectangular"), "1", 1.0,
-                            source="data sheet")  # fmt: skip
+                            source=of_sheet(sensor.name))  # fmt: skip
     return Scale(sensor.nominal, line, tuple(remarks), "data sheet's sensitivity")
 
 

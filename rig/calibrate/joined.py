@@ -14,7 +14,6 @@ import numpy as np
 
 from rig.calibrate import agreement
 from rig.calibrate.agreement import DirectEstimate
-from rig.calibrate.allowances import in_runs
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibration import MISSING, Result
 from rig.calibrate.fitted import Assumed, Estimate, Experiment, Pull
@@ -42,7 +41,7 @@ def joined(result: Result, direct: DirectEstimate, fits: Mapping[str, Experiment
     if experiment is None or estimate is None or result.budget is None:
         return result
     factor = max([1.0, *(one.ratio for one in experiment.missed if _concerns(experiment, one, result.channel))])
-    lines = tuple(_lines(result, estimate, factor, experiment))
+    lines = tuple(_lines(result, estimate, factor))
     check = agreement.check(experiment, result.channel, estimate, direct, result.method)
     said = [] if experiment.worst is None else [inadequate(experiment, factor)]
     if not check.agrees:
@@ -101,7 +100,7 @@ def inadequate(experiment: Experiment, factor: float) -> str:
     )
 
 
-def _lines(result: Result, estimate: Estimate, factor: float, experiment: Experiment) -> Iterator[Contribution]:
+def _lines(result: Result, estimate: Estimate, factor: float) -> Iterator[Contribution]:
     """The budget of the direct estimate with the fit's shares."""
     assert result.budget is not None
     assert result.value is not None
@@ -126,8 +125,7 @@ def _lines(result: Result, estimate: Estimate, factor: float, experiment: Experi
             yield replace(line, sensitivity=line.sensitivity * (scale if line.unit in RELATIVE else 1.0))
     for name, pull in pulls.items():
         if abs(pull.coefficient * pull.u) > NEGLIGIBLE * estimate.u:
-            source = in_runs("stated", {part.run for part in experiment.fit.parts})
-            yield Contribution(name.replace("_", " "), "B", "normal", pull.u, "1", pull.coefficient, source=source)
+            yield Contribution(name.replace("_", " "), "B", "normal", pull.u, "1", pull.coefficient, source="stated")
 
 
 def _line_of(pull: Pull) -> str:

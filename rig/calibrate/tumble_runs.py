@@ -14,7 +14,9 @@ from functools import partial
 
 from rig.calibrate import agreement, triad, tumbling
 from rig.calibrate.agreement import DirectEstimate
+from rig.calibrate.allowances import temperature
 from rig.calibrate.basis import Basis
+from rig.calibrate.budget import Budget
 from rig.calibrate.calibration import Result
 from rig.calibrate.cube_route import at_rest
 from rig.calibrate.fitted import Assumed, alone
@@ -53,7 +55,18 @@ def results(basis: Basis, assumed: Assumed | None) -> Iterator[Result]:
             yield from tumbling.refused(wrong)
             for unit in units:
                 kept = replace(unit, channels=tuple(c for c in unit.channels if c.name not in wrong))
-                yield from _of_unit(poses, kept, model) if kept.channels else ()
+                found = _of_unit(poses, kept, model) if kept.channels else ()
+                yield from (_at_its_temperature(row, basis, records.name) for row in found)
+
+
+def _at_its_temperature(row: Result, basis: Basis, run: str) -> Result:
+    """A sensitivity with what its temperature leaves open."""
+    if row.measurand != GRAVITY or row.budget is None or row.value is None:
+        return row
+    drift = basis.sensor.channel(row.channel).drift
+    lines, said = temperature(row.value, drift, basis.temperature, [run])
+    budget = Budget((*row.contributions, *lines), row.budget.correlation)
+    return replace(row, budget=budget, remarks=(*row.remarks, *said))
 
 
 def _model(poses: Poses, assumed: Assumed, read: Read) -> _Model:

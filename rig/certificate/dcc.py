@@ -209,8 +209,8 @@ def _budget(results: ET.Element, result: Result) -> None:
         words = (re.sub(r"\s+", "_", printable(flat(text), f"digital certificate: {name}")) for text in texts)
         _add(quantity, "charsXMLList", " ".join(words))
     _series(rows, "Degrees of freedom", "rig_degreesOfFreedom", (min(line.dof, MANY) for line in lines), "1")
-    _series(rows, "Standard uncertainty of the result", "rig_standardUncertainty",
-            (line.sensitivity * line.u for line in lines), result.unit)  # fmt: skip
+    _series(rows, "Contribution", "rig_contributionToStandardUncertainty",
+            (line.contribution for line in lines), result.unit)  # fmt: skip
     quantity = _add(data, "quantity", refType="rig_effectiveDegreesOfFreedom")
     _text(quantity, "name", "Effective degrees of freedom")
     real = _si(quantity, "real")

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rig.calibrate.calibration import Calibration, Result, shown
+from rig.calibrate.calibration import COMBINED, Calibration, Result, shown
 from rig.calibrate.judging import like_sensors
 from rig.errors import BadInput
 from rig.printed import SHOWN, rounded
@@ -25,7 +25,7 @@ DECISION = (
     "Decision rule: guard band w = U on both sides of each limit. Pass: the interval y ± U lies within the limits. "
     "Fail: it lies wholly outside. Otherwise inconclusive (ISO 14253-1:2017, ILAC-G8:09/2019 4.2.3), as is what is "
     "flagged. The probability of accepting what is outside, or rejecting what is inside, is at most 2.5 % per limit. "
-    "The limits are those of the item's data sheet."
+    "The limits are those stated for the item by its data sheet or its owner."
 )
 NOT_STATED = "not stated"
 SIMULATED = (
@@ -150,7 +150,7 @@ def budgeted(calibration: Calibration) -> list[Result]:
     able = [result for result in calibration.results if result.determined and result.budget is not None]
     chosen: dict[str, Result] = {}
     for result in able:
-        if result.measurand == "sensitivity":
+        if result.measurand in (COMBINED, "sensitivity"):
             chosen.setdefault(result.unit, result)
     return [one for one in able if one.verdict is not None or one in chosen.values()] or able[:1]
 

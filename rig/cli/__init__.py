@@ -35,6 +35,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "report": ("calibration", "A page with the paper's tables and figures, drawn from runs."),
         "export": ("calibration", "Write a calibration for robots and other programs."),
         "compare-calibrations": ("calibration", "Compare two calibrations by En numbers."),
+        "qualify": ("qualifying", "Calibrate units by a calibrated one that rode with them."),
     },
     "Bring in other people's data": {
         "import": ("importing", "Make a run out of other people's measurements."),

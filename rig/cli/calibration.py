@@ -84,7 +84,7 @@ def calibrate(
     """
     from rig.calibrate.calibration import MISSING, path_of, save
 
-    made, _ = _calibrated(names, runs, name, model, effects, recorder)
+    made, _ = calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     save(made, path)
@@ -97,7 +97,7 @@ def calibrate(
         lacking = any(MISSING in remark for result in made.results for remark in result.remarks)
         asked = [command("diagnose", *names)] if lacking and model != NO_MODEL else []
         say_next(*asked, command("certify", *names), command("report", *names), _exporting(made))
-    _refuse_failed(made)
+    refuse_failed(made)
 
 
 def _intervals(made: Calibration) -> list[dict[str, Any]]:
@@ -158,7 +158,7 @@ def certify(
     from rig.report.run_figures import svg_of_response
 
     issuer = None if laboratory is None else load(laboratory)
-    made, _ = _calibrated(names, runs, name, model, effects, recorder)
+    made, _ = calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = out or runs / "reports" / made.name
@@ -173,7 +173,7 @@ def certify(
         for label, written in (("certificate", pdf), ("digital certificate", dcc), ("calibration", path)):
             click.echo(f"{label}: {written}")
         say_next(_exporting(made), *_with_another(path))
-    _refuse_failed(made)
+    refuse_failed(made)
 
 
 @click.command()
@@ -336,7 +336,7 @@ def report(
     """
     from rig.report import write_report
 
-    made, records = _calibrated(names, runs, name, model, effects)
+    made, records = calibrated(names, runs, name, model, effects)
     path = out or runs / "reports" / f"{made.name}.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_report(made, records, path)
@@ -399,7 +399,7 @@ def _with_another(path: Path) -> list[str]:
     return [command("compare-calibrations", others[-1].stem, path.stem)] if others else []
 
 
-def _calibrated(
+def calibrated(
     names: Sequence[str], runs: Path, name: str | None, model: Path | None, effects: Path | None,
     recorder: str | None = None,
 ) -> tuple[Calibration, list[Records]]:  # fmt: skip
@@ -535,7 +535,7 @@ def row_of(result: Result) -> dict[str, Any]:
     }
 
 
-def _refuse_failed(made: Calibration) -> None:
+def refuse_failed(made: Calibration) -> None:
     """Exit code 3 if a value is outside its limits by more than its uncertainty, or cannot be believed."""
     from rig.errors import VerdictNotMet
 

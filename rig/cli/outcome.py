@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rig.bench.steps import Plan, Sine, Step
     from rig.calibrate.calibration import Calibration, Result
 
-KEY_MEASURANDS = ("sensitivity", "sensitivity_gravity")
+KEY_MEASURANDS = ("sensitivity_combined", "sensitivity", "sensitivity_gravity")
 
 
 def present(done: Outcome, order: Order, *, as_json: bool) -> None:

@@ -131,7 +131,7 @@ def _provenance(calibration: Calibration) -> dict[str, Any]:
 
 
 def _docstring(calibration: Calibration) -> str:
-    found = [r for m in MEASURANDS for r in calibration.of(m)]
+    found = [r for m in MEASURANDS for r in calibration.used(m)]
     lines = [
         "Applies a calibration to raw samples: counts_to_volts, apply, apply_triad, UNCERTAINTY.",
         "",

@@ -62,7 +62,7 @@ def files(calibration: Calibration, choice: Choice) -> dict[str, bytes]:
 
 
 def _measured(calibration: Calibration, triad: Triad) -> bool:
-    return any(calibration.find(f"{channel}.sensitivity") for channel in triad.names)
+    return any(calibration.to_use(channel, "sensitivity") for channel in triad.names)
 
 
 def _noisy(calibration: Calibration, triad: Triad) -> bool:

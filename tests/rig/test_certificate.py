@@ -432,7 +432,9 @@ def test_the_digital_certificate_has_the_budget_of_every_judged_result() -> None
     for one in ET.fromstring(found).iterfind(".//dcc:result[@refType='rig_uncertaintyBudget']", space):
         key = str(one.findtext("dcc:name/dcc:content", "", space)).removeprefix("Uncertainty budget of ")
         result = example().result(key)
-        shares = one.findtext(".//dcc:quantity[@refType='rig_standardUncertainty']//si:valueXMLList", "", space).split()
+        shares = one.findtext(
+            ".//dcc:quantity[@refType='rig_contributionToStandardUncertainty']//si:valueXMLList", "", space
+        ).split()
         assert math.hypot(*map(float, shares)) == pytest.approx(result.u)
         listed = one.findtext(".//dcc:quantity[@refType='rig_contribution']/dcc:charsXMLList", "", space)
         assert len(listed.split()) == len(shares) == len(result.contributions)

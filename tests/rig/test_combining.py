@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from rig.calibrate.budget import Budget, Contribution
 from rig.calibrate.calibrate import calibrate
-from rig.calibrate.calibration import COMBINED, Calibration, Result, covariance_of, load, save
+from rig.calibrate.calibration import COMBINED, ROUTES, Calibration, Result, covariance_of, load, rejected, save
 from rig.calibrate.combining import combined
+from rig.calibrate.gyros import WHOLE_BUDGET
 from rig.export import python_module
 from rig.export.selection import Choice
 from rig.sensor import Sensor
@@ -41,6 +42,12 @@ def stated(measurand: str, value: float, noise: float, *, common: float = 0.0, o
     return Result("x", measurand, "sensitivity", value, "V/(m/s²)", Budget(lines), reference=f"{measurand}, traceable")
 
 
+def whole(radial: Result) -> Result:
+    """A sensitivity from ω²r whose place and tilt are stated to be exact."""
+    lines = (Contribution(name, "B", "rectangular", 0.0, "1", 1.0, source="stated") for name in sorted(WHOLE_BUDGET))
+    return replace(radial, budget=Budget((*radial.contributions, *lines)))
+
+
 def best(*several: Result) -> Result:
     found = next(iter(combined(several, SENSOR)))
     assert found.measurand == COMBINED
@@ -51,12 +58,16 @@ def best(*several: Result) -> Result:
 def test_no_other_weights_give_a_smaller_uncertainty_and_its_budget_says_so(
     noise: tuple[float, ...], common: float, own: tuple[float, ...]
 ) -> None:
-    names = ("sensitivity", "sensitivity_gravity")
-    several = [stated(n, 1.0, a, common=common, own=b) for n, a, b in zip(names, noise, own, strict=False)]
+    values = [1.0, 1.0 + 1e-4, 1.0 - 2e-4]
+    several = [
+        stated(name, value, a, common=common, own=b)
+        for name, value, a, b in zip(ROUTES, values, noise, own, strict=True)
+    ]
+    several[2] = whole(several[2])
     found, covariance = best(*several), covariance_of(several)
-    ones = np.ones(len(several))
-    assert found.u**2 == pytest.approx(1.0 / (ones @ np.linalg.solve(covariance, ones)), rel=1e-9)
-    assert found.value == pytest.approx(1.0)
+    weights = np.linalg.solve(covariance, np.ones(len(several)))
+    assert found.u**2 == pytest.approx(1.0 / weights.sum(), rel=1e-6)
+    assert found.value == pytest.approx(weights @ values / weights.sum(), rel=1e-9)
     assert found.u <= min(one.u for one in several) * (1.0 + 1e-9)
     assert sum(line.name == "gain" for line in found.contributions) == 1  # of one certificate, one error
 
@@ -74,6 +85,44 @@ def test_references_that_disagree_are_said_to_and_widen_the_interval() -> None:
     assert found.status == "flagged"
     assert "one of them is off" in found.remarks[0]
     assert found.u == pytest.approx(0.05)  # half their distance
+    assert found.expanded == pytest.approx(1.96 * 0.05, rel=0.01)
+
+
+def test_a_gain_that_all_channels_share_is_told_from_all_of_them_together() -> None:
+    channels = list("abcdefgh")
+    row = {"part": "", "quantity": "acceleration", "axis": "x", "sensitivity": "1 V/(m/s²)", "range": "2 g"}
+    sensor = Sensor.stated({"channels": {name: {**row, "bandwidth": "9 Hz"} for name in channels}})
+
+    def rows(off: float) -> list[Result]:
+        pair = stated("sensitivity", 1.0 + off, 1e-3, common=5e-3), stated("sensitivity_gravity", 1.0, 1e-3)
+        return [replace(one, channel=name) for name in channels for one in pair]
+
+    fine, wrong = ([one for one in combined(rows(off), sensor) if one.measurand == COMBINED] for off in (0.010, 0.0125))
+    assert {one.status for one in fine} == {"determined"}
+    assert {one.status for one in wrong} == {"flagged"}
+    assert "times those by" in wrong[0].remarks[0]
+
+
+def test_what_is_combined_once_more_is_what_it_was() -> None:
+    once = list(combined([stated("sensitivity", 1.02, 0.01), stated("sensitivity_gravity", 1.0, 0.02)], SENSOR))
+    assert list(combined(once, SENSOR)) == once
+
+
+def test_only_the_value_to_use_is_judged_unless_another_fails() -> None:
+    found = made()
+    assert found.result("unit_a_x.sensitivity").verdict is None
+    assert found.result(f"unit_a_x.{COMBINED}").verdict == "pass"
+
+
+def test_a_value_to_use_is_never_one_that_stands_in_for_what_was_not_believed() -> None:
+    found = made()
+    lost = tuple(
+        rejected(r.channel, r.measurand, r.title, r.unit, "why") if r.key == "unit_a_x.sensitivity" else r
+        for r in found.results if r.measurand != COMBINED
+    )  # fmt: skip
+    assert replace(found, results=lost).to_use("unit_a_x", "sensitivity") is None
+    old = replace(found, results=tuple(r for r in found.results if r.measurand != COMBINED))
+    assert old.to_use("unit_a_x", "sensitivity") == old.result("unit_a_x.sensitivity")
 
 
 def test_what_is_flagged_or_alone_is_not_combined() -> None:

@@ -49,9 +49,25 @@ def test_each_influence_is_a_line_of_what_it_concerns_and_of_nothing_else() -> N
     for key, route in (("unit_a_x.sensitivity", "sweep"), ("gyro_yaw.sensitivity", "turntable")):
         wanted = {n.replace("_", " "): 0.001 * k for k, n in enumerate(CONCERNS, 1) if route in CONCERNS[n]}
         assert lines(found.result(key)) == pytest.approx(wanted, rel=1e-6)
-    assert lines(found.result("unit_a_x.sensitivity_analyzer")) == lines(found.result("unit_a_x.sensitivity"))
+    by_analyzer, of_sweep = (
+        lines(found.result(f"unit_a_x.{name}")) for name in ("sensitivity_analyzer", "sensitivity")
+    )
+    assert by_analyzer == pytest.approx({name: size for name, size in of_sweep.items() if name in by_analyzer})
+    assert "base strain" in by_analyzer
+    assert not {"converter linearity", "settling"} & set(by_analyzer)  # it has converters of its own
     assert not lines(found.result("unit_a_x.deviation"))
     assert not any("not in the budgets" in flag for flag in found.flags)
+
+
+def test_responses_have_them_too_and_so_has_what_noise_is_referred_by() -> None:
+    plain, wide = made({}), made(STATED)
+    u = sum((0.001 * k) ** 2 / 3.0 for k, n in enumerate(CONCERNS, 1) if "sweep" in CONCERNS[n]) ** 0.5
+    for before, after in zip(plain.responses["unit_a_x"], wide.responses["unit_a_x"], strict=True):
+        assert after.uc_magnitude**2 - before.uc_magnitude**2 == pytest.approx((u * after.magnitude) ** 2, rel=1e-6)
+    line = next(c for c in wide.result("unit_a_x.deviation").contributions if c.name == "sensitivity")
+    own = wide.result("unit_a_x.sensitivity")
+    assert line.u == pytest.approx(own.u / abs(own.value or 1.0))
+    assert wide.result("unit_a_x.sensitivity_analyzer").check == plain.result("unit_a_x.sensitivity_analyzer").check
 
 
 def test_what_is_not_stated_is_said_to_be_missing() -> None:

@@ -26,6 +26,7 @@ from rig.bench import assembly, procedure_file
 from rig.bench.benchfile import SensorFile, Standard, describe
 from rig.bench.clock import SystemClock
 from rig.bench.operators import AnswersOperator
+from rig.certificate import issuer
 from rig.cli import cli
 from rig.errors import ConfigError
 from rig.foreign import manifest_file
@@ -93,6 +94,7 @@ SPOILT = [
     *((kind, text) for kind, text in WRITTEN.items()),
     ("bench", (pages.ROOT / "configs/benches/simulated.yaml").read_text(encoding="utf-8")),
     ("standard", (pages.ROOT / "configs/standards/vibrometer.yaml").read_text(encoding="utf-8")),
+    ("laboratory", (pages.ROOT / "configs/laboratories/example.yaml").read_text(encoding="utf-8")),
     *(("manifest", (pages.ROOT / f"configs/imports/{name}.yaml").read_text(encoding="utf-8"))
       for name in ("uiuc-yaw-slow", "ptb-mpu9250", "xsens-multiposition")),
 ]  # fmt: skip
@@ -133,7 +135,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "model": lambda path: model_file.load(path, shelf()),
     "procedure": _procedure,
     "sensor": lambda path: config.load(path, SensorFile),
-    "laboratory": "configs/laboratories",
+    "laboratory": issuer.load,
     "standard": lambda path: config.load(path, Standard),
     "world": _world,
 }

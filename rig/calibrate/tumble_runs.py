@@ -64,7 +64,7 @@ def _at_its_temperature(row: Result, basis: Basis, run: str) -> Result:
     if row.measurand != GRAVITY or row.budget is None or row.value is None:
         return row
     drift = basis.sensor.channel(row.channel).drift
-    lines, said = temperature(row.value, drift, basis.temperature, [run])
+    lines, said = temperature(row.value, drift, basis.temperature, [f"poses of {run}"])
     budget = Budget((*row.contributions, *lines), row.budget.correlation)
     return replace(row, budget=budget, remarks=(*row.remarks, *said))
 

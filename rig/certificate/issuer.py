@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
-
-from rig.yaml import config
 
 Text = Annotated[str, Field(min_length=1)]
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$", description="ISO 3166-1, two letters")]
@@ -51,8 +48,3 @@ class Issuer(Strict):
     place: Literal["laboratory", "customer", "other"] = "laboratory"
     issued: dt.date | None = None
     signatories: tuple[Signatory, ...] = ()
-
-
-def load(path: Path) -> Issuer:
-    """The file's content; raises ConfigError with every mistake at its line and column."""
-    return config.load(path, Issuer)

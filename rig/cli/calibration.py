@@ -153,11 +153,12 @@ def certify(
     """
     from rig.calibrate.calibration import path_of, save
     from rig.certificate.dcc import write_dcc
-    from rig.certificate.issuer import load
+    from rig.certificate.issuer import Issuer
     from rig.certificate.pdf import write_pdf
     from rig.report.run_figures import svg_of_response
+    from rig.yaml import config
 
-    issuer = None if laboratory is None else load(laboratory)
+    issuer = None if laboratory is None else config.load(laboratory, Issuer)
     made, _ = calibrated(names, runs, name, model, effects, recorder)
     path = path_of(runs, made.name)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,9 +24,9 @@ from rig.calibrate.calibration import Calibration, not_determined
 from rig.certificate.dcc import DCC, MANY, OF_FREEDOM, write_dcc, xml
 from rig.certificate.document import identifier, standard_rows
 from rig.certificate.issuer import Issuer
-from rig.certificate.issuer import load as load_issuer
 from rig.certificate.pdf import compiled, write_pdf, written
 from rig.errors import BadInput, ConfigError
+from rig.yaml import config
 
 SHARED = Path(os.environ.get("RIG_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 SVG = (
@@ -377,7 +377,7 @@ def test_a_number_that_is_not_finite_or_a_unit_unknown_to_si_is_refused() -> Non
 
 
 def example_issuer() -> Issuer:
-    return load_issuer(Path(__file__).parents[2] / "configs" / "laboratories" / "example.yaml")
+    return config.load(Path(__file__).parents[2] / "configs" / "laboratories" / "example.yaml", Issuer)
 
 
 def test_laboratory_customer_order_and_signatories_are_printed() -> None:
@@ -422,7 +422,7 @@ def test_another_customer_gives_another_identification() -> None:
 def test_mistakes_in_a_laboratorys_file_are_named_where_they_stand(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("laboratory: {name: L, country: Germany}\nsigned: no\n")
     with pytest.raises(ConfigError) as caught:
-        load_issuer(tmp_path / "lab.yaml")
+        config.load(tmp_path / "lab.yaml", Issuer)
     assert {(p.line, p.key) for p in caught.value.problems} == {(1, "laboratory.country"), (2, "signed")}
 
 

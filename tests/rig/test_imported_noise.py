@@ -83,11 +83,11 @@ def test_the_longest_record_counts(tmp_path: Path) -> None:
 
 def test_kalibr_and_ros_2_get_the_worst_axis_and_every_variance(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
-    kept(rested(1, force=FORCE, rate=RATE, walk=WALK), runs)
+    kept(rested(0, force=FORCE, rate=RATE, walk=WALK), runs)
     text = said(runs, "calibrate", "last", "--name", "still")
     assert "next: rig export still --to ros2" in text
     assert "gyro_x.noise_density" in text
-    made = calibrated(tmp_path / "again", rested(1, force=FORCE, rate=RATE, walk=WALK))
+    made = calibrated(tmp_path / "again", rested(0, force=FORCE, rate=RATE, walk=WALK))
     with pytest.raises(BadInput, match=r"found no acc_x\.random_walk .*, wanted it from a long static record, or"):
         said(runs, "export", "still", "--to", "kalibr", "--rate", "100", "--out", str(tmp_path))
     assumed = ("--assume", "accelerometer_random_walk=1e-5")

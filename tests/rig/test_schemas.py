@@ -26,7 +26,7 @@ from rig.bench import assembly, procedure_file
 from rig.bench.benchfile import SensorFile, Standard, describe
 from rig.bench.clock import SystemClock
 from rig.bench.operators import AnswersOperator
-from rig.certificate import issuer
+from rig.certificate.issuer import Issuer
 from rig.cli import cli
 from rig.errors import ConfigError
 from rig.foreign import manifest_file
@@ -135,7 +135,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "model": lambda path: model_file.load(path, shelf()),
     "procedure": _procedure,
     "sensor": lambda path: config.load(path, SensorFile),
-    "laboratory": issuer.load,
+    "laboratory": lambda path: config.load(path, Issuer),
     "standard": lambda path: config.load(path, Standard),
     "world": _world,
 }

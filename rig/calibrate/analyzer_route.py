@@ -49,10 +49,11 @@ class SecondRoute:
         good, left_out = self._good(channel), self._left_out(channel)
         try:
             fit = self._fit(channel, good)
+            match = tuple(self._match(fit))
         except BadInput as error:
             return not_determined(channel, MEASURAND, TITLE, SENSITIVITY, "; ".join([str(error), *left_out]))
         single = accelerometers.sensitivity_result(fit, self.setup, None, self.sensor.channel(channel).drift)
-        lines = [*single.contributions, *self._match(fit)]
+        lines = [*single.contributions, *match]
         found = replace(
             single,
             measurand=MEASURAND,

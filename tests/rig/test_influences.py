@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import fast_bench
 import pytest
 
+from rig.calibrate.analyzer_route import SecondRoute
+from rig.calibrate.budget import Contribution
 from rig.calibrate.calibrate import calibrate
 from rig.calibrate.calibration import Calibration, Result
 from rig.calibrate.influences import CONCERNS
@@ -87,6 +90,16 @@ def test_the_converters_gain_counts_where_no_channel_shows_the_reference() -> No
     relative = "in volts of the converter, whose gain no standard"
     assert any(relative in flag for flag in plain.flags)
     assert not any(relative in flag for flag in certified.flags)
+
+
+def test_an_analyzer_whose_match_no_fit_follows_costs_its_own_value_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def endless(self: SecondRoute, fit: object) -> Iterator[Contribution]:
+        raise BadInput("adjustment of log_sensitivity: found no solution in 50 steps, wanted convergence")
+
+    monkeypatch.setattr(SecondRoute, "_match", endless)
+    found = made({})
+    assert "found no solution" in found.result("unit_a_x.sensitivity_analyzer").remarks[0]
+    assert found.result("unit_a_x.sensitivity").determined
 
 
 def test_a_converter_that_is_off_or_past_its_date_is_refused() -> None:

@@ -26,14 +26,15 @@ UNLIKELY = 0.025  # with sound references: that a calibration's are said to disa
 
 def combined(results: Sequence[Result], sensor: Sensor) -> Iterator[Result]:
     """The results, and before those of a channel that more than one reference has determined one row of all of them,
-    which alone is judged: of the others only what fails remains.
+    which alone is judged: of the others only what fails remains. A channel with a value that is not believed has none.
     """
     results = [one for one in results if one.measurand != COMBINED]
     groups: dict[str, list[Result]] = {}
     for one in results:
         if one.measurand in ROUTES and one.determined and one.status == "determined" and _whole(one):
             groups.setdefault(one.channel, []).append(one)
-    several = {channel: group for channel, group in groups.items() if len(group) > 1 and channel in sensor}
+    doubted = {one.channel for one in results if one.measurand in ROUTES and one.rejected}
+    several = {c: group for c, group in groups.items() if len(group) > 1 and c in sensor and c not in doubted}
     apart, made = _apart(several.values()), set[str]()
     for one in results:
         if one.channel in several and one.channel not in made:
@@ -54,6 +55,7 @@ def _apart(groups: Iterable[Sequence[Result]]) -> tuple[str, ...]:
     share the vibrometer's gain, so their best mean tells more than each of them.
     """
     pairs = [pair for group in groups if len(pair := [one for one in group if one.measurand in ROUTES[:2]]) == 2]
+    pairs = [pair for pair in pairs if (pair[0].value or 0.0) * (pair[1].value or 0.0) > 0.0]  # a sign is no factor
     if not pairs:
         return ()
     every = [one for pair in pairs for one in pair]

@@ -103,6 +103,19 @@ def test_a_gain_that_all_channels_share_is_told_from_all_of_them_together() -> N
     assert "times those by" in wrong[0].remarks[0]
 
 
+def test_what_is_not_believed_keeps_its_verdict_and_its_channel_has_no_value_to_use() -> None:
+    lost = rejected("x", "sensitivity", "sensitivity", "V/(m/s²)", "why")
+    rows = [lost, stated("sensitivity_gravity", 1.0, 0.01), whole(stated("sensitivity_centripetal", 1.0, 0.01))]
+    assert list(combined(rows, SENSOR)) == rows
+    assert rows[0].rejected
+
+
+def test_another_sign_is_told_by_its_channel_and_is_no_factor_of_all() -> None:
+    found = best(stated("sensitivity", -1.0, 0.01), stated("sensitivity_gravity", 1.0, 0.01))
+    assert found.remarks[0].startswith("the references disagree here (")
+    assert found.status == "flagged"
+
+
 def test_what_is_combined_once_more_is_what_it_was() -> None:
     once = list(combined([stated("sensitivity", 1.02, 0.01), stated("sensitivity_gravity", 1.0, 0.02)], SENSOR))
     assert list(combined(once, SENSOR)) == once

@@ -17,13 +17,14 @@ from typing import Any
 from rig.calibrate.budget import Budget
 from rig.calibrate.calibration import ROUTES, Calibration, Result, not_determined
 from rig.calibrate.combining import weighted
+from rig.calibrate.comparison import correlation
 from rig.calibrate.judging import judged
 from rig.calibrate.verdict import agrees, normalised_error
 from rig.errors import BadInput
 from rig.sensor import SensorChannel, Triad
 
 OWN_PLACE = ("laser spot", "transverse motion", "base strain", "place of the sensing element")
-KEPT = ("offset", "deviation", "noise_density", "bias_instability", "random_walk", "noise_bandwidth")  # no reference
+KEPT = ("offset", "noise_bandwidth")  # what needs no reference: noise in SI stands on the bench's
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ def qualified(ride: Calibration, known: Calibration, reference: str, names: Sequ
     """The calibration of the units `names` (all others without) by the unit `reference`, as `known` states it.
 
     `ride` is what the bench makes of the runs in which they rode together. Raises BadInput for a unit that is not in
-    the sensor file, for one that is not calibrated, and for a calibration that stands on the same runs.
+    the sensor file, of another quantity or the reference itself, for one that is not calibrated, and for a calibration
+    that stands on the same runs.
     """
     sensor = ride.under_test
     master = sensor.triad(reference)
@@ -63,6 +65,9 @@ def qualified(ride: Calibration, known: Calibration, reference: str, names: Sequ
     others = [sensor.triad(name) for name in names] or [
         one for one in sensor.of_quantity(master.quantity) if one.name != master.name
     ]
+    for one in others:
+        if one.quantity != master.quantity or one.name == master.name:
+            raise BadInput(f"unit: found {one.name}, wanted other {master.quantity} sensors than {master.name}")
     results = [row for triad in others for row in _of_unit(ride, known, master, triad)]
     if not any(row.determined and row.measurand == "sensitivity" for row in results):
         units = ", ".join(one.name for one in others)
@@ -152,7 +157,7 @@ def against(made: Calibration, last: Calibration | None) -> Iterator[Against]:
         value, channel = float(row.value or 0.0), sensor.channel(row.channel)
         before = None if last is None else last.to_use(row.channel, "sensitivity")
         if before is not None and before.value is not None and last is not None:
-            en = normalised_error(value, row.expanded, before.value, before.expanded)
+            en = normalised_error(value, row.expanded, before.value, before.expanded, correlation(row, before))
             yield Against(row.key, before.value, row.unit, f"calibration {last.name}", en)
         elif channel.tolerance is not None:
             limit = abs(channel.nominal) * channel.tolerance

@@ -105,8 +105,18 @@ def test_a_unit_that_has_changed_is_told_from_one_that_has_not() -> None:
     assert sheet == "data sheet"
 
 
-def _scaled(row: Result, factor: float) -> Result:
-    if row.measurand != "sensitivity_gravity" or row.value is None or row.budget is None:
+def test_en_leaves_out_what_both_calibrations_share() -> None:
+    made, last = qualified(ride(41, "sweep"), known(41, "sweep"), "unit_a"), known(41, "sweep")
+    moved = replace(last, results=tuple(_scaled(r, 1.005, "sensitivity") for r in last.results))
+    one, other = (of.result("unit_b_x.sensitivity") for of in (made, moved))
+    apart = abs(float(one.value or 0.0) - float(other.value or 0.0))
+    assert apart < 0.5 * (one.expanded**2 + other.expanded**2) ** 0.5  # nothing, were the vibrometer's gain not in both
+    (row,) = [found for found in against(made, moved) if found.key == "unit_b_x.sensitivity"]
+    assert not row.agrees
+
+
+def _scaled(row: Result, factor: float, measurand: str = "sensitivity_gravity") -> Result:
+    if row.measurand != measurand or row.value is None or row.budget is None:
         return row
     lines = tuple(replace(c, sensitivity=c.sensitivity * factor) for c in row.contributions)
     return replace(row, value=row.value * factor, budget=Budget(lines))
@@ -117,5 +127,8 @@ def test_what_cannot_be_carried_is_refused_with_what_is_missing() -> None:
         qualified(known(45, "sweep"), known(45, "sweep"), "unit_a")
     with pytest.raises(BadInput, match="found no unit 'unit_z'"):
         qualified(ride(45, "sweep"), known(45, "tumble"), "unit_z")
+    for other in ("unit_a", "gyro"):  # itself; an accelerometer tells nothing of a rate
+        with pytest.raises(BadInput, match=f"found {other}, wanted other acceleration sensors than unit_a"):
+            qualified(ride(45, "sweep"), known(45, "tumble"), "unit_a", [other])
     with pytest.raises(BadInput, match="found no axis along which gyro is calibrated in known"):
         qualified(ride(45, "turns"), known(45, "tumble"), "gyro")

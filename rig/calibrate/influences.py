@@ -35,7 +35,9 @@ class Influences:
 
     def __init__(self, runs: Sequence[Recorded], recorder: Recorder) -> None:
         self._runs, self._recorder = runs, recorder
-        stated = [(run.header["bench_file"].get("influences") or {}, run.header["bench_file"]["bench"]) for run in runs]
+        stated = [
+            (run.header["bench_file"].get("influences") or {}, run.header["bench_file"].get("bench")) for run in runs
+        ]
         self._sizes: dict[str, tuple[float, str]] = {}
         for name in CONCERNS:
             if stated and all(name in one for one, _ in stated):

@@ -25,7 +25,7 @@ class OneSidedSaturation(Effect):
     confused_with = ("saturation", "quadratic", "asymmetry", "cubic")
     separate_by = "levels on both sides of the knee, and a histogram of the samples: they pile up at one end only"
     kinked = True
-    beside = (("quadratic", "asymmetry"), ("saturation", "cubic", "odd_quadratic"))
+    beside = (("saturation", "cubic", "odd_quadratic"),)
     source = "error sources S09"
     lost = "beyond the limit the output is the same for every input"
 

@@ -28,7 +28,7 @@ from rig.parts.noise_signs import signs
 from rig.parts.part import STEP, Origin, Part
 from rig.parts.poses import Still
 from rig.parts.remainder import Cut, Indices, Mask, Remainder, Score, Series, Sign
-from rig.signals.rest_spectrum import Bands
+from rig.signals.rest_spectrum import Bands, of_line
 from rig.signals.sheet_noise import GRID, OPEN, Levels, Scatter, mean_density, with_added
 
 SEEN = 25.0  # χ² that tells noise of another kind
@@ -172,8 +172,7 @@ class NoiseSpectrum(Part):
             some = _scaled(self.channels, local, here)
             found[here] += term.effect.density(bands.nodes, self.data.rate, some, term.at).mean(axis=-1)
             if (line := term.effect.tone(self.data.rate, some, term.at)) is not None:
-                there = (bands.low <= line[1]) & (line[1] < bands.high)
-                found[here] += np.outer(0.5 * line[0] ** 2, bands.of_line * there)
+                found[here] += np.outer(0.5 * line[0] ** 2, of_line(bands, line[1]))
         return found
 
     def whitened(self, raw: NDArray[np.inexact]) -> Array:

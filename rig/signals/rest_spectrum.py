@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,8 @@ LOBES = 3.0  # lines of the tapered transform on either side that a steady line 
 @dataclass(frozen=True)
 class Bands:
     """Powers of c channels in b bands: `nodes` (b, NODES) Hz stand for a band's lines, which lie between `low` and
-    `high` Hz (b,); mean `power` (c, b) unit²/Hz with `dof` (b,) degrees of freedom. A steady line of unit mean square
-    in a band adds `of_line` (b,) 1/Hz to its mean.
+    `high` Hz (b,); mean `power` (c, b) unit²/Hz with `dof` (b,) degrees of freedom. The records that they are made of
+    have so many samples (`counts`), `rate` of them a second; lines of the `mains` (Hz) are left out.
     """
 
     nodes: Array
@@ -38,17 +39,18 @@ class Bands:
     high: Array
     power: Array
     dof: Array
-    of_line: Array
+    counts: tuple[int, ...]
+    rate: float
+    mains: float
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines of one record: frequency Hz (n,), power unit²/Hz (c, n), degrees of freedom of each, Hz between two."""
+    """Lines of one record: frequency Hz (n,), power unit²/Hz (c, n), degrees of freedom of each."""
 
     frequency: Array
     power: Array
     dof: float
-    apart: float
 
 
 def edges(rate: float) -> Array:
@@ -75,11 +77,28 @@ def bands(records: Sequence[Array], rate: float, mains: float) -> Bands | None:
     if not made:
         return None
     columns = [_band(here) for here, _, _ in made]
-    nodes, power, dof, of_line = (np.array([one[k] for one in columns]) for k in range(4))
-    return Bands(nodes, np.array([one[1] for one in made]), np.array([one[2] for one in made]), power.T, dof, of_line)
+    nodes, power, dof = (np.array([one[k] for one in columns]) for k in range(3))
+    low, high = (np.array([one[k] for one in made]) for k in (1, 2))
+    return Bands(nodes, low, high, power.T, dof, tuple(len(values) for values in records), rate, mains)
 
 
-def _band(here: Sequence[tuple[_Lines, NDArray[np.bool_]]]) -> tuple[Array, Array, float, float]:
+def of_line(found: Bands, frequency: float) -> Array:
+    """What a steady line (Hz) of unit mean square adds to the mean of every band, whatever its phase, 1/Hz (b,).
+
+    A strong one reaches far beyond its own band: a taper damps what leaks and does not end it.
+    """
+    return _of_line(found.counts, found.rate, found.mains, frequency)
+
+
+@lru_cache(maxsize=64)
+def _of_line(counts: tuple[int, ...], rate: float, mains: float, frequency: float) -> Array:
+    courses = (2.0 * math.pi * frequency / rate * np.arange(count) for count in counts)
+    made = bands([math.sqrt(2.0) * np.stack([np.cos(one), np.sin(one)], axis=1) for one in courses], rate, mains)
+    assert made is not None  # as of the records themselves
+    return np.asarray(made.power.mean(axis=0))
+
+
+def _band(here: Sequence[tuple[_Lines, NDArray[np.bool_]]]) -> tuple[Array, Array, float]:
     frequency = np.concatenate([one.frequency[mask] for one, mask in here])
     weight = np.concatenate([np.full(np.count_nonzero(mask), one.dof) for one, mask in here])
     dof = float(weight.sum())
@@ -87,7 +106,7 @@ def _band(here: Sequence[tuple[_Lines, NDArray[np.bool_]]]) -> tuple[Array, Arra
     order = np.argsort(frequency, kind="stable")
     share = (np.cumsum(weight[order]) - 0.5 * weight[order]) / dof
     nodes = np.interp((np.arange(NODES) + 0.5) / NODES, share, frequency[order])
-    return nodes, power, dof, sum(one.dof / one.apart for one, _ in here) / dof
+    return nodes, power, dof
 
 
 def _slow(values: Array, rate: float) -> _Lines:
@@ -98,7 +117,7 @@ def _slow(values: Array, rate: float) -> _Lines:
     apart = rate / (2.0 * count)
     k = np.arange(max(math.ceil(LOWEST / apart), 1), min(math.ceil(SPLIT / apart), count))
     lines = dct(values - values.mean(axis=0), type=2, norm="ortho", axis=0)[k]
-    return _Lines(np.asarray(k * apart, np.float64), np.asarray(lines.T**2 * (2.0 / rate)), 1.0, apart)
+    return _Lines(np.asarray(k * apart, np.float64), np.asarray(lines.T**2 * (2.0 / rate)), 1.0)
 
 
 def _fast(values: Array, rate: float, mains: float) -> _Lines:
@@ -113,7 +132,7 @@ def _fast(values: Array, rate: float, mains: float) -> _Lines:
     kept = (frequency >= SPLIT) & (frequency < 0.5 * rate - 0.5 * apart) & (beside > max(BESIDE, LOBES * apart))
     power = np.abs(spectrum[kept]) ** 2 * (2.0 / (rate * square))
     dof = 2.0 * square**2 / (count * float(np.sum(window**4)))
-    return _Lines(np.asarray(frequency[kept], np.float64), np.asarray(power.T), dof, apart)
+    return _Lines(np.asarray(frequency[kept], np.float64), np.asarray(power.T), dof)
 
 
 def _tukey(count: int) -> Array:

@@ -21,7 +21,7 @@ from rig.repair.model_file import Model
 from rig.repair.repair import Bench, added, fitted
 from rig.shelf import effect_of, shelf
 from rig.signals.rest_lines import coarse_step, folded, strongest
-from rig.signals.rest_spectrum import Bands, bands
+from rig.signals.rest_spectrum import Bands, bands, of_line
 from rig.signals.sheet_noise import Levels, Scatter, Sheet, mean_density
 
 RATE, MAINS = 1000.0, 50.0
@@ -198,8 +198,19 @@ def test_a_strong_line_stays_within_its_band_with_all_its_power() -> None:
     assert quiet is not None
     assert loud is not None
     here = (loud.low <= 37.0) & (loud.high > 37.0)
-    assert loud.power[0][here] == pytest.approx(0.5 * loud.of_line[here], rel=0.06)
+    assert loud.power[0][here] == pytest.approx(0.5 * of_line(loud, 37.0)[here], rel=0.06)
     assert loud.power[0][~here] == pytest.approx(quiet.power[0][~here], rel=0.05)
+
+
+def test_what_a_line_adds_to_every_band_is_known_where_it_leaks_too() -> None:
+    time = np.arange(5 * round(RATE)) / RATE
+    for phase in (0.3, 2.0):
+        found = bands([np.cos(2.0 * math.pi * 4.35 * time + phase)[:, None]], RATE, MAINS)
+        assert found is not None
+        near = np.flatnonzero((found.low < 8.0) & (found.high > 2.8))
+        assert len(near) >= 3
+        assert found.power[0][near] == pytest.approx(0.5 * of_line(found, 4.35)[near], rel=0.2)
+        assert of_line(found, 4.35)[near].min() > 0.0
 
 
 def test_the_mains_is_left_out() -> None:
@@ -226,7 +237,7 @@ def like(power: Sheet, at: list[float], more: float = 0.0) -> Bands:
     sides = np.geomspace(0.1, 500.0, 40)
     nodes = np.sqrt(sides[:-1] * sides[1:])[:, None]
     density = power.spectrum(nodes, RATE, np.array([at]))[0].mean(axis=-1) + more
-    return Bands(nodes, sides[:-1], sides[1:], density, np.full(39, 1e4), np.ones(39))
+    return Bands(nodes, sides[:-1], sides[1:], density, np.full(39, 1e4), (), RATE, MAINS)
 
 
 def test_the_derivatives_of_a_sheet_are_right() -> None:
@@ -260,7 +271,7 @@ def test_bands_held_out_move_by_what_the_others_do_not_tell_of_the_sheet() -> No
     nodes = np.sqrt(sides[:-1] * sides[1:])[:, None]
     density = whole.spectrum(nodes, RATE, at)[0].mean(axis=-1)
     told, held = (
-        Bands(nodes, sides[:-1], sides[1:], density * random.chisquare(dof, density.shape) / dof, dof, np.ones(25))
+        Bands(nodes, sides[:-1], sides[1:], density * random.chisquare(dof, density.shape) / dof, dof, (), RATE, MAINS)
         for dof in (np.maximum(2.0 * seconds * np.diff(sides), 10.0) for seconds in (20.0, 10.0))
     )
     levels = Levels(whole, RATE, told)

@@ -148,6 +148,17 @@ Beforehand = Mapping[str, tuple[float, float]]
 NOTHING: Beforehand = MappingProxyType({})
 
 
+def by_sheet(density: float, tolerance: float, corner: tuple[float, float] | None) -> Beforehand:
+    """What a data sheet says: one-sided `density` of the white noise (unit/√Hz) to a relative `tolerance`, flicker as
+    strong as it at a `corner` somewhere within these bounds, Hz: a rectangular distribution of its logarithm.
+    """
+    white, u = 2.0 * math.log(density), 2.0 * tolerance
+    if corner is None:
+        return {"white": (white, u)}
+    low, high = (math.log(one) for one in corner)
+    return {"white": (white, u), "flicker": (white + 0.5 * (low + high), math.hypot(u, (high - low) / math.sqrt(12.0)))}
+
+
 @dataclass(frozen=True)
 class NoiseFit:
     """A noise model with what is known about it."""

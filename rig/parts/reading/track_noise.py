@@ -16,7 +16,7 @@ import numpy as np
 from rig.foreign.manifest import SheetNoise
 from rig.motion import Array
 from rig.parts.track import DeviceNoise, TrackRecords
-from rig.signals.noise import Beforehand, NoiseModel, fit_density, with_levels
+from rig.signals.noise import Beforehand, NoiseModel, by_sheet, fit_density, with_levels
 from rig.signals.spectrum import Density, log_bins
 
 STILL = 0.02  # of the rms rate of the record: slower than that a case stands
@@ -78,13 +78,9 @@ def _lines(data: TrackRecords, row: int, rests: Sequence[slice]) -> Density | No
 
 
 def _beforehand(data: TrackRecords, row: int, sheet: SheetNoise) -> Beforehand:
-    """Logarithms of white noise and flicker by the data sheet; a stated interval of the corner is rectangular."""
-    white = 2.0 * math.log(sheet.density_si(bool(data.channels.rates[row])) * float(data.channels.sensitivity[row]))
-    u = 2.0 * sheet.tolerance
-    if sheet.corner is None:
-        return {"white": (white, u)}
-    low, high = (math.log(one) for one in sheet.corner)
-    return {"white": (white, u), "flicker": (white + 0.5 * (low + high), math.hypot(u, (high - low) / math.sqrt(12.0)))}
+    """Logarithms of white noise and flicker by the data sheet."""
+    density = sheet.density_si(bool(data.channels.rates[row])) * float(data.channels.sensitivity[row])
+    return by_sheet(density, sheet.tolerance, sheet.corner)
 
 
 def _by_sheet(known: Beforehand, rate: float) -> NoiseModel:

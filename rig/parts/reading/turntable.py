@@ -336,7 +336,7 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
     slices = tuple(itertools.pairwise(bounds))
     means = np.concatenate([one.means for one in found], axis=1)
-    sensors = np.array([names.index(n) for n in channels.names])
+    sensors, sheet = np.array([names.index(n) for n in channels.names]), _by_sheet(records, channels)
     counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))
     frames = np.concatenate(
         [np.repeat(_frame(one.mount)[:, :, None], n, axis=2) for one, n in zip(found, lengths, strict=True)], axis=2
@@ -353,7 +353,7 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
         closed=closed,
         lost=sum(one.lost for one in found),
         lines=sum(one.lines for one in found),
-        noise=tuple(_noise(found, int(row), interval) for row in sensors),
+        noise=tuple(_noise(found, int(row), interval, said) for row, said in zip(sensors, sheet, strict=True)),
         interval=interval,
         time=time,
         records=slices,
@@ -402,8 +402,20 @@ def _logged(means: Array, names: Sequence[str], name: str, factor: float) -> Arr
     return means[names.index(name)] * factor if name in names else np.full(means.shape[1], math.nan)
 
 
-def _noise(found: Sequence[_Record], row: int, interval: float) -> noise.NoiseModel:
-    """White noise and flicker of the window means from the records at rest; of all records without any."""
+def _by_sheet(records: Recorded, channels: Channels) -> list[noise.Beforehand]:
+    """What the sensor file says of the noise of every channel, V."""
+    sensor, found = Sensor.of(records.header), []
+    for name, scale in zip(channels.names, np.abs(channels.sensitivity).tolist(), strict=True):
+        said = sensor.channel(name).noise if name in sensor else None
+        stated = None if said is None else noise.by_sheet(said.density * scale, said.tolerance, said.corner)
+        found.append(stated or noise.NOTHING)
+    return found
+
+
+def _noise(found: Sequence[_Record], row: int, interval: float, sheet: noise.Beforehand) -> noise.NoiseModel:
+    """White noise and flicker of the window means from the records at rest, of all records without any, and from what
+    the data sheet says: a short rest hardly shows the flicker that means of minutes have.
+    """
     from scipy.fft import dct
 
     resting = [one for one in found if one.kind == "rest"] or list(found)
@@ -416,4 +428,5 @@ def _noise(found: Sequence[_Record], row: int, interval: float) -> noise.NoiseMo
     f, power = (np.concatenate([one[k] for one in lines]) for k in (0, 1))
     order = np.argsort(f, kind="stable")
     density: Density = log_bins(f[order] * (1.0 + 1e-12 * np.arange(len(f))), power[order], PER_DECADE, 1.0)
-    return noise.fit_density(density, 1.0 / interval, step=0.0, pole=None)  # a mean over a window has no alias of it
+    # without a step: a mean over a window has no alias of it
+    return noise.fit_density(density, 1.0 / interval, step=0.0, pole=None, beforehand=sheet)

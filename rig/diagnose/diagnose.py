@@ -196,9 +196,11 @@ def _step(
     for finding in instruments.findings(evidence, shelf, there):
         if finding.evidence > FINDING:
             return _by_test(evidence, current, finding), ()
-    scored = search.scores(current, search.possible(shelf, current), memory)
+    terms = search.possible(shelf, current)
+    scored = search.scores(current, terms, memory)
+    elsewhere = search.from_data_sheet(current, terms, REFITS) if instruments.implausible(current) else []
     least = max([QUARTER * adequacy.excess(current), *(SHARE * step.taken.gain for step in before)])
-    choices = _choices(current, scored, least=least if adequacy.adequate(current) else 0.0)
+    choices = _choices(current, scored, least=least if adequacy.adequate(current) else 0.0, elsewhere=elsewhere)
     choices = _with_narrower(current, shelf, choices, scored[0].gain if scored else 0.0, memory)
     if not choices or choices[0].merit <= 0.0:
         return None, tuple(scored)
@@ -435,16 +437,19 @@ def chance_of(term: Term, found: Fit) -> float:
     return CHANCE + PER_COORDINATE * (len(fitting.fitted(term)) - 1) + ways
 
 
-def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS, least: float = 0.0) -> list[Choice]:
+def _choices(
+    current: Fit, scored: Sequence[Score], most: int = REFITS, least: float = 0.0, elsewhere: Sequence[Candidate] = ()
+) -> list[Choice]:
     """Refits of the best, most meritorious first, with probabilities among them and against chance.
 
-    Where a step must be worth `least` of χ², none is refitted if no score comes near it.
+    Where a step must be worth `least` of χ², none is refitted if no score comes near it. Those made `elsewhere` count
+    where they leave less.
     """
     top = max((score.gain for score in scored), default=0.0)
     if top < PROMISE * least:
         return []
     chosen = [score for score in scored if score.gain > max(LIKELY * chance(score), 0.02 * top)]
-    refits = search.best(current, chosen[:most])
+    refits = _better(search.best(current, chosen[:most]), elsewhere)
     if not refits:
         return []
     least_left = min((current, *(one.fit for one in refits)), key=lambda fit: fit.objective)
@@ -459,6 +464,15 @@ def _choices(current: Fit, scored: Sequence[Score], most: int = REFITS, least: f
         for one, (merit, _), weight, doubt in zip(refits, merits, weights, doubts, strict=True)
     ]
     return sorted(made, key=lambda one: -one.merit)
+
+
+def _better(refits: Sequence[Candidate], elsewhere: Sequence[Candidate]) -> list[Candidate]:
+    """Of two refits of one candidate the one that leaves less, best first."""
+    made: dict[str, Candidate] = {}
+    for one in (*refits, *elsewhere):
+        if one.term.key not in made or one.gain > made[one.term.key].gain:
+            made[one.term.key] = one
+    return sorted(made.values(), key=lambda one: -one.gain)
 
 
 def _pruned(steps: list[Step], base: Fit, current: Fit) -> tuple[list[Step], Fit]:
@@ -560,7 +574,7 @@ def _changing(base: Fit, final: Fit, steps: Sequence[Step]) -> bool:
         return bool(standing)
     gained = base.objective - final.objective
     worth = gained - sum(_price(step.taken) for step in steps)
-    rival = max((one.chi2 for one in adequacy.unsteady(base)), default=0.0) - CHANCE
+    rival = max((one.chi2 for one in adequacy.unsteady(base)), default=-math.inf) - CHANCE
     return rival > worth + CLASS or max((one.chi2 for one in standing), default=0.0) > SHARE * gained
 
 

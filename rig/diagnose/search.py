@@ -351,11 +351,26 @@ def _refitted(sight: _Sight, score: Score) -> Candidate:
     return afresh if afresh.gain > quick.gain else quick
 
 
-def _afresh(found: Fit, score: Score) -> Candidate:
-    state = replace(found.state, terms=(*found.state.terms, score.start))
-    made = fitting.fit(found.parts, state, use=found.use, iterations=FIRST_ROUNDS)
+def _afresh(found: Fit, score: Score, start: fitting.State | None = None, iterations: int = FIRST_ROUNDS) -> Candidate:
+    """Refitted with all columns worked out at every step, from where the model is or from elsewhere."""
+    start = start or found.state
+    state = replace(start, terms=(*start.terms, score.start))
+    made = fitting.fit(found.parts, state, use=found.use, iterations=iterations)
     return Candidate(made.state.terms[-1], found.objective - made.objective, made,
                      made.u(len(made.state.terms) - 1), score.steps, score.size, ways=score.ways)  # fmt: skip
+
+
+def from_data_sheet(found: Fit, terms: Sequence[Term], most: int) -> list[Candidate]:
+    """The most promising of some candidates, scored and fitted from where the data sheet's sensitivities are held.
+
+    Without what is missing a fit may reverse a sensitivity rather than leave a misfit; no effect leads back from there.
+    """
+    state = found.state
+    start = fitting.begin(found.parts, (), poles=state.poles, shared=state.shared, free=state.free)
+    before = tuple(one.moved(**dict.fromkeys(one.at, 0.0)) if one.prior else one for one in state.terms)
+    firm = fitting.fit(found.parts, replace(start, terms=before, firm=True), use=found.use)
+    begun = replace(firm.state, firm=False)
+    return [_afresh(found, one, begun, fitting.ITERATIONS) for one in scores(firm, terms)[:most]]
 
 
 def completed(found: Fit, one: Candidate) -> Candidate:

@@ -25,6 +25,7 @@ POLE_TOLERANCE = 0.1  # of the logarithm: what a data sheet's bandwidth is good 
 STRAIGHT = 0.02  # of a coordinate's step: what is left of the bend does not tell a delay from another delay
 ENOUGH = 1e-3  # of χ²: a step that changes it by less is the last
 ITERATIONS = 12
+FIRM = 1e8  # times the weight of a data sheet's tolerance
 HALVINGS = 5
 CORRECTIONS = 5  # steps with the same columns
 ROUNDING = 1e-13  # of the largest output
@@ -50,6 +51,7 @@ class State:
     poles: bool = True  # False: the model has no output filter (the paper's)
     leader: Mapping[str, str] = field(default_factory=dict)
     free: bool = False  # nothing is believed of sensitivities beforehand: what a data sheet says moves no calibration
+    firm: bool = False  # everything is: they stay the data sheet's, and what they could take up is left over
 
     @property
     def shared(self) -> bool:
@@ -252,7 +254,8 @@ def prior_of(parts: Sequence[Part], state: State) -> tuple[Array, Array]:
     tolerance = {n: float(t) for p in parts for n, t in zip(p.channels.names, p.channels.tolerance, strict=True)}
     for place, name in enumerate(order.channels):
         values[2 * place : 2 * place + 2] = state.gain[name], state.log_pole[name]
-        weights[2 * place : 2 * place + 2] = 0.0 if state.free else tolerance[name] ** -2.0, POLE_TOLERANCE**-2.0
+        believed = 0.0 if state.free else FIRM if state.firm else 1.0
+        weights[2 * place : 2 * place + 2] = believed * tolerance[name] ** -2.0, POLE_TOLERANCE**-2.0
     for first, one in zip(order.nuisances, state.nuisance, strict=True):
         values[first : first + len(one)], weights[first : first + len(one)] = one, 1.0
     for first, term in zip(order.terms, state.terms, strict=True):

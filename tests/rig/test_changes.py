@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import blind_imports
+import blind_worlds
 import imported_sweeps
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rig.diagnose.conclusion import Conclusion, conclude
-from rig.fit.adequacy import unsteady
+from rig.fit.adequacy import changes, unsteady
 from rig.foreign.faults import left_out
 from rig.foreign.repeats import contradicted
 from rig.foreign.straying import findings as straying
@@ -186,3 +188,13 @@ def test_what_a_step_and_a_trend_do_is_as_the_rows_of_outputs_that_do_so_are(gap
         expected -= whole * (whole @ expected) / (whole @ whole)
         found = there[words][:, 5 if "course" in words else 0]
         assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("number", [121, 141, 186, 204])
+def test_what_changes_by_rounding_alone_is_no_direction(number: int) -> None:
+    """A gain that steps while the case rests is the very gain that it has: of the step nothing but rounding is left."""
+    answer = blind_worlds.drawn(blind_worlds.Case("imported_clean", "rotation", (), number, "cl"))
+    fit = blind_imports.evidence(blind_worlds.imported(answer)).fitted()
+    found = changes(fit)
+    assert len(found) > 5
+    assert max(one.chi2 for one in found) < 20.0

@@ -16,7 +16,7 @@ class Aliasing(Effect):
     equation = "f_shown = |frequency − k·f_sampling|, k whole, f_shown ≤ f_sampling/2"
     quantities = BOTH
     places = ("shaker", "turntable")
-    coordinates = (Coordinate("amplitude", 1e-4), Coordinate("frequency", 1.0))
+    coordinates = (Coordinate("amplitude", 1e-4), Coordinate("frequency", 1.0, searched=True))
     parameters = (
         Parameter("amplitude", "V", (0.0, 1.0), (1e-4, 1e-2)),
         Parameter("frequency", "Hz", (1500.0, 1e6), (2e4, 8e4)),

@@ -34,7 +34,8 @@ class SoftSaturation(Effect):
 
     def transduce(self, u: Array, motion: Motion, at: Values) -> Array:
         sharpness = at["sharpness"]
-        return np.asarray(u * (1.0 + sharpness * at["loss"] * np.abs(u / AT) ** sharpness) ** (-1.0 / sharpness))
+        with np.errstate(all="ignore"):  # a fit that went too far finds no numbers, and turns back
+            return np.asarray(u * (1.0 + sharpness * at["loss"] * np.abs(u / AT) ** sharpness) ** (-1.0 / sharpness))
 
     def physical(self, at: Values) -> dict[str, float]:
         """loss = (5 SI/limit)^sharpness/sharpness; a gain that grows has no limit, and is said as one below nought."""

@@ -16,7 +16,7 @@ class Spur(Effect):
     equation = "u += amplitude·cos(2π·frequency·t + any phase)"
     quantities = BOTH
     places = ("shaker", "turntable")
-    coordinates = (Coordinate("amplitude", 1e-3), Coordinate("frequency", 1.0))
+    coordinates = (Coordinate("amplitude", 1e-3), Coordinate("frequency", 1.0, searched=True))
     parameters = (
         Parameter("amplitude", "SI", (0.0, 10.0), (1e-4, 1e-1)),
         Parameter("frequency", "Hz", (0.0, 1e6), (1.0, 1500.0)),

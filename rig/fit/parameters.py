@@ -85,12 +85,15 @@ def covariance_of(fit: Fit, number: int) -> Array:
 
 
 def independent(term: Term, u: Mapping[str, float]) -> Array:
-    """The same from standard uncertainties that have nothing to do with each other, (k, k)."""
-    return np.diag([u.get(name, 0.0) ** 2 for name in fitted(term)])
+    """The same of all coordinates from standard uncertainties that have nothing to do with each other, (k, k)."""
+    return np.diag([u.get(one.name, 0.0) ** 2 for one in term.effect.coordinates])
 
 
 def estimates(term: Term, covariance: Array) -> dict[str, Estimate]:
-    """All parameters, with standard uncertainties by linear propagation from those of the coordinates (k, k)."""
+    """All parameters, with standard uncertainties by linear propagation from those of the coordinates.
+
+    Their `covariance` (k, k) is of all of them, or of those that a fit moves.
+    """
     names = [p.name for p in term.effect.parameters]
     unit = dict(zip(names, term.effect.units(term.on), strict=True))
     slopes = _slopes(term, np.sqrt(np.maximum(np.diag(covariance), 0.0)), unit)
@@ -173,10 +176,10 @@ def _grouped(unit: str) -> str:
 
 
 def _slopes(term: Term, u: Array, unit: Mapping[str, str]) -> dict[str, Array]:
-    """Derivatives of every parameter by the coordinates that a fit moves, {name: (k,)}."""
+    """Derivatives of every parameter by as many coordinates, {name: (k,)}: all, or those that a fit moves."""
     found = {name: np.zeros(len(u)) for name in unit}
     steps = {c.name: c.step for c in term.effect.coordinates}
-    for k, name in enumerate(fitted(term)):
+    for k, name in enumerate(steps if len(u) == len(steps) else fitted(term)):
         step = PROBE * (float(u[k]) or steps[name])
         above, below = (term.effect.physical(term.moved(**{name: term.at[name] + s}).at) for s in (step, -step))
         for parameter, symbol in unit.items():

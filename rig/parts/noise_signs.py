@@ -8,18 +8,39 @@ from collections.abc import Iterator, Sequence
 from rig.parts.noise_records import NoiseRecords, Shown
 from rig.parts.remainder import Sign
 
+FAR = 4.0  # standard uncertainties: frequencies as far apart are two
+DRIFT = 2e-5  # relative: by as much a line and the board's clock may move between two runs
 CODES = 100.0  # evidence of a channel whose codes are left out, as χ²: no noise does that
 
 
 def signs(rests: Sequence[NoiseRecords]) -> Iterator[Sign]:
     """Lines of channels of one quantity, and coarse codes."""
+    for same in _same([shown for data in rests for shown in data.lines]):
+        yield _line(max(same, key=lambda shown: (math.isfinite(shown.folded), shown.line.evidence)))
     for data in rests:
-        for shown in data.lines:
-            yield _line(shown)
         step, u, count = data.coarse
         if count:
             because = f"only every {step * 1e3:.3g} mV occurs in {count} of {len(data.channels.names)} channels at rest"
             yield Sign("quantisation", {"step": step}, {"step": u}, CODES * count, because)
+
+
+def _same(lines: Sequence[Shown]) -> list[list[Shown]]:
+    """Lines of one quantity that lie at one frequency as far as anybody can tell: one and the same, seen in several
+    records; too few channels in some to tell whether it was folded.
+    """
+    found: list[list[Shown]] = []
+    for one in lines:
+        near = [group for group in found if group[0].on == one.on and _at_one(group[0], one)]
+        if near:
+            near[0].append(one)
+        else:
+            found.append([one])
+    return found
+
+
+def _at_one(one: Shown, other: Shown) -> bool:
+    apart = abs(one.line.frequency - other.line.frequency)
+    return apart < FAR * math.hypot(one.line.u, other.line.u) + DRIFT * one.line.frequency
 
 
 def _line(shown: Shown) -> Sign:
@@ -27,7 +48,7 @@ def _line(shown: Shown) -> Sign:
     frequency = shown.folded if was else line.frequency
     what = f"a line at {line.frequency:.4g} Hz, no multiple of the mains, at rest in the {shown.on} channels"
     why = ", at phases of the scan as it would have at"
-    because = f"{what}{why} {shown.folded:.6g} Hz (or that and whole reciprocals of a slot more)" if was else what
+    because = f"{what}{why} {shown.folded:.6g} Hz (or as far from any multiple of the slots' rate)" if was else what
     at = {"amplitude": shown.amplitude, "frequency": frequency}
     u = {"amplitude": shown.u, "frequency": line.u}
     return Sign("aliasing" if was else "spur", at, u, line.evidence, because, shown.on)

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from rig.diagnose.conclusion import Conclusion, conclude
+from rig.diagnose.diagnose import _changing, diagnose
 from rig.diagnose.misfit import compare
 from rig.fit import adequacy
+from rig.fit.adequacy import unsteady
 from rig.fit.evidence import Evidence, evidence_of
 from rig.model import Local, Term
 from rig.parts.noise_spectrum import SEEN, NoiseSpectrum
@@ -342,3 +344,33 @@ def test_codes_that_are_left_out_tell_the_step(step: float) -> None:
     assert found is not None
     assert abs(found[0] - step) < 3.5 * found[1]
     assert coarse_step(np.round(volts)) is None
+
+
+def test_one_line_in_two_records_is_told_once_and_by_those_that_show_whether_it_was_folded() -> None:
+    """Three gyros at rest on the shaker cannot say it, six on the turntable can."""
+    hidden = {"name": "aliasing", "parameters": {"amplitude": 2.4e-4, "frequency": 28224.1, "quantity": "rate"}}
+    world = fast_bench.world(1, [hidden])
+    runs = [fast_bench.measure(one, world) for one in ({"procedure": "frequency_sweep", "points": 3},
+                                                       {"procedure": "turntable", "revolutions": 3})]  # fmt: skip
+    found = evidence_of(runs)
+    shown = [one for part in found.parts if isinstance(part, NoiseSpectrum) for one in part.data.lines]
+    assert [one.line.frequency for one in shown] == pytest.approx([99.108, 99.108], abs=0.01)
+    assert [math.isfinite(one.folded) for one in shown] == [False, True]
+    told = list(NoiseSpectrum.signs([part for part in found.parts if isinstance(part, NoiseSpectrum)]))
+    assert [one.effect for one in told] == ["aliasing"]
+    assert told[0].at["frequency"] == pytest.approx(50e3 - 28224.1, abs=0.1)  # which no phase tells from it
+
+
+def test_a_fit_leaves_the_frequency_of_a_line_where_the_line_is(evidences: dict[str, Evidence]) -> None:
+    for name in ("spur", "aliasing"):
+        found = diagnose(evidences[name])
+        (step,) = found.steps
+        assert found.final.state.terms[-1].at["frequency"] == step.taken.term.at["frequency"]
+        assert step.taken.u["frequency"] > 0.0
+
+
+def test_what_removes_nothing_makes_no_record_unsteady_that_is_not(evidences: dict[str, Evidence]) -> None:
+    """A weak line hardly moves a band: the fit with it may even leave more, by rounding."""
+    found = diagnose(evidences["spur"])
+    assert not unsteady(found.base)
+    assert not _changing(found.final, found.base, found.steps)

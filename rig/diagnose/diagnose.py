@@ -70,6 +70,7 @@ class Choice:
     fit: Fit | None = field(default=None, repr=False)
     full: bool = True
     doubt: float = 1.0  # how many times more than by even noise a difference from the best may be chance
+    untold: float = 0.0  # of what it was charged for shapes, χ²: these the data do not tell
     whole: Fit | None = field(default=None, repr=False)  # beside all other steps' effects, where that is another fit
 
     @property
@@ -80,6 +81,11 @@ class Choice:
     def possible(self) -> bool:
         """Whether physics allows it at all."""
         return self.merit > -math.inf
+
+    @property
+    def standing(self) -> float:
+        """Merit among effects of which one is there: a shape that any value fits is no further number to choose."""
+        return self.merit + self.untold
 
 
 @dataclass(frozen=True)
@@ -235,8 +241,8 @@ def _with_narrower(
 
 def _weighed(choices: Sequence[Choice]) -> list[Choice]:
     """Choices of several searches, most meritorious first, with probabilities among them and against chance."""
-    top = max(max(one.merit for one in choices), -MOST_CERTAIN)
-    weights = [math.exp(0.5 * (one.merit - top) / one.doubt) for one in choices]
+    top = max(max(one.standing for one in choices), -MOST_CERTAIN)
+    weights = [math.exp(0.5 * (one.standing - top) / one.doubt) for one in choices]
     total = sum(weights) + math.exp(-0.5 * max(min(top, MOST_CERTAIN), -MOST_CERTAIN))
     made = [replace(one, probability=weight / total) for one, weight in zip(choices, weights, strict=True)]
     return sorted(made, key=lambda one: -one.merit)
@@ -310,6 +316,8 @@ def _paired(
     best: tuple[Choice, Fit, list[Choice]] | None = None
     lowest = current.objective + sum(_price(step.taken) for step in steps) - CLASS
     for choice in [one for one in steps[0].others if one.fit is not None and one.possible][1:PAIRS]:
+        if not _has_numbers(base, choice.term):
+            continue  # without what it was fitted beside it is beyond all that can be reckoned with
         first = _with_terms(base, [choice.term])
         seconds = _choices(first, search.scores(first, search.possible(shelf, first), memory), PAIR_REFITS)
         if not seconds or seconds[0].merit <= 0.0:
@@ -322,6 +330,12 @@ def _paired(
     chosen, other = best[0].term, best[2][0].term
     made = [_alone(_with_terms(base, [other]), chosen, shelf, memory), _alone(best[1], other, shelf, memory)]
     return _rebuilt(base, made), made[1].after
+
+
+def _has_numbers(base: Fit, term: Term) -> bool:
+    """Whether a model with this term, as it is, predicts numbers."""
+    state = replace(base.state, terms=(*base.state.terms, term))
+    return bool(np.isfinite(fitting.residual(base.parts, state, base.use)).all())
 
 
 def _alone(without: Fit, term: Term, shelf: Mapping[str, Effect], memory: search.Memory) -> Step:
@@ -455,13 +469,19 @@ def _choices(
     least_left = min((current, *(one.fit for one in refits)), key=lambda fit: fit.objective)
     merits = list(_merits(current, refits, least_left))
     (highest, certain), best = max(zip(merits, refits, strict=True), key=lambda pair: pair[0])
+    untold = [search.untold(one.term, one.u, PER_COORDINATE) for one in refits]
     highest = max(highest, -MOST_CERTAIN)
     doubts = [_unevenness(best.fit, one.fit, least_left) for one in refits]
-    weights = [math.exp(0.5 * (one[0] - highest) / doubt) for one, doubt in zip(merits, doubts, strict=True)]
+    weights = [
+        math.exp(0.5 * (one[0] + more - highest) / doubt)
+        for one, more, doubt in zip(merits, untold, doubts, strict=True)
+    ]
     total = sum(weights) + math.exp(-0.5 * max(min(certain, MOST_CERTAIN), -MOST_CERTAIN))
     made = [
-        Choice(one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit, one.full, doubt)
-        for one, (merit, _), weight, doubt in zip(refits, merits, weights, doubts, strict=True)
+        Choice(
+            one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit, one.full, doubt, more
+        )
+        for one, (merit, _), weight, doubt, more in zip(refits, merits, weights, doubts, untold, strict=True)
     ]
     return sorted(made, key=lambda one: -one.merit)
 
@@ -511,12 +531,12 @@ def _reordered(members: Sequence[Choice]) -> list[Choice]:
     """
     if len(members) < 2 or members[0].term.effect.looks_in:
         return list(members)
-    total, most = sum(one.probability for one in members), max(one.merit for one in members)
-    weights = [math.exp(0.5 * (one.merit - most) / one.doubt) for one in members]
+    total, most = sum(one.probability for one in members), max(one.standing for one in members)
+    weights = [math.exp(0.5 * (one.standing - most) / one.doubt) for one in members]
     shared = [
         replace(one, probability=total * weight / sum(weights)) for one, weight in zip(members, weights, strict=True)
     ]
-    return sorted(shared, key=lambda one: -one.merit)
+    return sorted(shared, key=lambda one: -one.standing)
 
 
 def _refitted(before: Fit, choice: Choice) -> Choice:
@@ -528,10 +548,25 @@ def _refitted(before: Fit, choice: Choice) -> Choice:
         nothing = choice.term.moved(**dict.fromkeys(choice.term.at, 0.0))
         anew = search.refitted(before, search.scores(before, [nothing])[0]).fit
         made = min(made, fitting.fit(before.parts, anew.state), key=lambda one: one.objective)
+    made = _less_astray(before, choice, made)
     gain = before.objective - made.objective
     merit = choice.merit + gain - choice.gain
     return replace(choice, fit=made, gain=gain, merit=merit, term=made.state.terms[-1],
                    u=made.u(len(made.state.terms) - 1))  # fmt: skip
+
+
+def _less_astray(before: Fit, choice: Choice, made: Fit) -> Fit:
+    """The fit that was made, or where it removes little of what the choice did, one from where the choice had come to:
+    what a zero and a drift share between them lies anywhere, and one of both alone is far from any model.
+    """
+    there = choice.fit
+    if there is None or before.objective - made.objective > search.SHORT * choice.gain:
+        return made
+    keys = [term.key for term in there.state.terms]
+    if keys != [term.key for term in (*before.state.terms, choice.term)]:
+        return made
+    anew = fitting.fit(before.parts, there.state, use=before.use)
+    return anew if anew.objective < made.objective else made
 
 
 def _together(steps: Sequence[Step], base: Fit) -> list[Step]:
@@ -575,7 +610,7 @@ def _changing(base: Fit, final: Fit, steps: Sequence[Step]) -> bool:
     gained = base.objective - final.objective
     worth = gained - sum(_price(step.taken) for step in steps)
     rival = max((one.chi2 for one in adequacy.unsteady(base)), default=-math.inf) - CHANCE
-    return rival > worth + CLASS or max((one.chi2 for one in standing), default=0.0) > SHARE * gained
+    return rival > worth + CLASS or max((one.chi2 for one in standing), default=-math.inf) > SHARE * gained
 
 
 def _ahead(base: Fit, final: Fit, steps: Sequence[Step], *, plain: bool = False) -> float:

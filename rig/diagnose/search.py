@@ -501,6 +501,22 @@ def improbability(term: Term, u: Mapping[str, float]) -> float:
     return least
 
 
+def untold(term: Term, u: Mapping[str, float], most: float) -> float:
+    """What of `most` χ² for each shape a term need not pay, because the data tell little of it.
+
+    The factor of Occam (MacKay 1992, Neural Computation 4, 415): −2 ln of posterior over prior width, ln(1 + (σ/u)²) of
+    a size whose logarithm scatters by σ over the usual ones and is known to u.
+    """
+    usual = {one.name: one.typical for one in term.effect.parameters}
+    kept = 0.0
+    for one in term.effect.coordinates:
+        low, high = usual.get(one.name, (0.0, 0.0))
+        if one.shape and 0.0 < low < high and u.get(one.name, 0.0) > 0.0:
+            width = math.log(high / low) / math.sqrt(12.0)
+            kept += max(most - math.log1p((width * term.at[one.name] / u[one.name]) ** 2), 0.0)
+    return kept
+
+
 def _within(value: float, bounds: tuple[float, float]) -> bool:
     return math.isfinite(value) and bounds[0] <= value <= bounds[1]
 

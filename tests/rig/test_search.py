@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.fft import dct
 
 from rig.diagnose import search
+from rig.diagnose.diagnose import _has_numbers
 from rig.fit import fit as fitting
 from rig.fit.evidence import evidence_of
 from rig.fit.fit import Fit
@@ -112,3 +113,9 @@ def test_what_has_no_derivative_gets_no_share_of_an_inverse() -> None:
     assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert not found[1].any()
     assert not found[:, 1].any()
+
+
+def test_a_term_that_predicts_no_numbers_begins_no_pair(found: Fit) -> None:
+    drift = Term(shelf()["warm_up"], "rate", {"shift": 1.0, "time_constant": -0.01})
+    assert not _has_numbers(found, drift)
+    assert _has_numbers(found, drift.moved(time_constant=300.0))

@@ -14,6 +14,7 @@ import numpy as np
 from rig.motion import Array
 
 HIGHEST = 7  # degree
+SLOWEST, FASTEST, TRIED = 10.0, 0.05, 120  # of the time that readings span: how slowly they may settle
 # where nobody logged them: what the effects take as nominal, so that none of theirs does anything
 NOMINAL = {"temperature": 25.0, "supply": 5.0}
 
@@ -43,3 +44,22 @@ def smoothed(time: Array, values: Array) -> Array:
         if square == 0.0 or float(np.sum(np.diff(left) ** 2)) / square > 2.0 - 4.0 / math.sqrt(len(values)):
             return np.asarray(fit(x), np.float64)
     return values
+
+
+def continued(time: Array, values: Array, at: Array) -> Array:
+    """What readings (n,) at times (s, (n,)) will be at later ones (k,) if they go on settling exponentially.
+
+    A bench that warms up is soon as warm as it gets: a later run does not show the same rise again.
+    """
+    known = np.isfinite(values)
+    span = float(np.ptp(time[known])) if known.sum() > 3 else 0.0
+    if not span > 0.0:
+        return np.full(len(at), float(values[known][-1]) if known.any() else math.nan)
+    since, found = float(time[known].min()), []
+    for slowness in span * np.geomspace(FASTEST, SLOWEST, TRIED):
+        columns = np.stack([np.ones(int(known.sum())), np.exp(-(time[known] - since) / slowness)], axis=1)
+        size = np.linalg.lstsq(columns, values[known], rcond=None)[0]
+        left = values[known] - columns @ size
+        found.append((float(left @ left), slowness, size))
+    _, slowness, size = min(found, key=lambda one: one[0])
+    return np.asarray(size[0] + size[1] * np.exp(-(at - since) / slowness), np.float64)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.motion import Array
+from rig.parts.conditions import continued
 from rig.parts.part import Option, Part
 from rig.parts.platter_records import PlatterRecords
 
@@ -37,7 +38,9 @@ def options(data: PlatterRecords, make: Callable[[PlatterRecords], Part]) -> Ite
             lambda other=other, axis=axis: make(_reaxed(data, axis, other)),  # type: ignore[misc]
         )  # fmt: skip
     later = {"title": "The same run fifteen minutes later", "steps": [{"wait": "900 s"}, run]}
-    shifted = replace(data, time=data.time + 900.0, temperature=data.temperature + 2.0)
+    time = data.time + 900.0
+    temperature, supply = (continued(data.time, one, time) for one in (data.temperature, data.supply))
+    shifted = replace(data, time=time, temperature=temperature, supply=supply)
     yield Option("later", "temperature, supply and time since power-up part", minutes + 15.0, later,
                  lambda: make(shifted))  # fmt: skip
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.motion import ORDERS, Array
+from rig.parts.conditions import continued
 from rig.parts.part import Option, Part
 from rig.parts.sweep_records import LINES, SweepRecords, directions
 
@@ -76,7 +77,7 @@ def swept(
     for c, model in enumerate(data.noise):
         lines[c] = model.density(np.minimum(np.maximum(at, 1.0), 0.49 * model.rate)) / seconds
     lines[:, at > 0.49 * data.noise[0].rate] = np.nan
-    warmer = 2.0 if later else 0.0
+    middle, before = begin + 0.5 * seconds, 0.5 * (data.begin + data.end)
     return replace(
         data, name=f"next {axis}", axis=axis, observed=np.zeros(lines.shape, np.complex128),
         before=np.zeros(lines.shape, np.complex128), variance=lines, shown=along, gated=along,
@@ -85,14 +86,10 @@ def swept(
         level=tuple(levels[int(k)] for k in (order // points)), usable=np.ones((len(channels.names), len(f)), np.bool_),
         source=np.interp(f, np.sort(data.frequency), data.source[np.argsort(data.frequency)]),
         scale=np.full(len(f), float(np.median(data.scale[data.scale > 0.0]))),
-        temperature=np.linspace(*_range(data.temperature), len(f)) + warmer,
-        supply=np.linspace(*_range(data.supply), len(f)), directions=directions(axis), leftovers=(),
+        temperature=continued(before, data.temperature, middle),
+        supply=continued(before, data.supply, middle), directions=directions(axis), leftovers=(),
         drive_off=False, notes=(),
     )  # fmt: skip
-
-
-def _range(values: Array) -> tuple[float, float]:
-    return float(values[0]), float(values[-1])
 
 
 def _reference_noise(data: SweepRecords, f: Array, seconds: float) -> Array:

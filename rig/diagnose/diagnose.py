@@ -70,7 +70,7 @@ class Choice:
     fit: Fit | None = field(default=None, repr=False)
     full: bool = True
     doubt: float = 1.0  # how many times more than by even noise a difference from the best may be chance
-    untold: float = 0.0  # of what it was charged for shapes, χ²: these the data do not tell
+    refund: float = 0.0  # of what it was charged for shapes, χ²: these the data do not tell
     whole: Fit | None = field(default=None, repr=False)  # beside all other steps' effects, where that is another fit
 
     @property
@@ -85,7 +85,7 @@ class Choice:
     @property
     def standing(self) -> float:
         """Merit among effects of which one is there: a shape that any value fits is no further number to choose."""
-        return self.merit + self.untold
+        return self.merit + self.refund
 
 
 @dataclass(frozen=True)
@@ -234,18 +234,31 @@ def _with_narrower(
         if one.merit > max(everywhere.get((one.name, one.term.on), 0.0), 0.0) + CLASS
     ]  # fmt: skip
     best = max((one.merit for one in choices), default=0.0)
-    if not narrow or narrow[0].merit <= best - CLASS:
+    if not narrow or max(one.merit for one in narrow) <= best - CLASS:
         return choices
     return _weighed([*narrow, *choices])
 
 
-def _weighed(choices: Sequence[Choice]) -> list[Choice]:
-    """Choices of several searches, most meritorious first, with probabilities among them and against chance."""
-    top = max(max(one.standing for one in choices), -MOST_CERTAIN)
-    weights = [math.exp(0.5 * (one.standing - top) / one.doubt) for one in choices]
-    total = sum(weights) + math.exp(-0.5 * max(min(top, MOST_CERTAIN), -MOST_CERTAIN))
-    made = [replace(one, probability=weight / total) for one, weight in zip(choices, weights, strict=True)]
-    return sorted(made, key=lambda one: -one.merit)
+def _weighed(choices: Sequence[Choice], certain: float | None = None) -> list[Choice]:
+    """Choices with their probabilities, the most probable of those that are worth anything first.
+
+    Whether any of them is there is a matter of merits against chance (`certain`: the merit that counts for it, that of
+    the best), which of them it is of how they stand.
+    """
+    by_merit, best = _weights(choices, [one.merit for one in choices])
+    certain = best if certain is None else certain
+    chance_ = math.exp(-0.5 * max(min(certain, MOST_CERTAIN), -MOST_CERTAIN))
+    there = sum(by_merit) / (sum(by_merit) + chance_)
+    shares, _ = _weights(choices, [one.standing for one in choices])
+    total = sum(shares) or 1.0
+    made = [replace(one, probability=there * share / total) for one, share in zip(choices, shares, strict=True)]
+    return sorted(made, key=lambda one: (one.merit > 0.0, one.standing), reverse=True)
+
+
+def _weights(choices: Sequence[Choice], values: Sequence[float]) -> tuple[list[float], float]:
+    """Likelihoods relative to that of the largest value, χ², and that value."""
+    most = max(max(values), -MOST_CERTAIN)
+    return [math.exp(0.5 * (at - most) / one.doubt) for one, at in zip(choices, values, strict=True)], most
 
 
 def _leaves_noise(choice: Choice) -> bool:
@@ -454,13 +467,13 @@ def chance_of(term: Term, found: Fit) -> float:
 def _choices(
     current: Fit, scored: Sequence[Score], most: int = REFITS, least: float = 0.0, elsewhere: Sequence[Candidate] = ()
 ) -> list[Choice]:
-    """Refits of the best, most meritorious first, with probabilities among them and against chance.
+    """Refits of the best, most probable first, with probabilities among them and against chance.
 
     Where a step must be worth `least` of χ², none is refitted if no score comes near it. Those made `elsewhere` count
     where they leave less.
     """
     top = max((score.gain for score in scored), default=0.0)
-    if top < PROMISE * least:
+    if top < PROMISE * least and not elsewhere:
         return []
     chosen = [score for score in scored if score.gain > max(LIKELY * chance(score), 0.02 * top)]
     refits = _better(search.best(current, chosen[:most]), elsewhere)
@@ -468,22 +481,13 @@ def _choices(
         return []
     least_left = min((current, *(one.fit for one in refits)), key=lambda fit: fit.objective)
     merits = list(_merits(current, refits, least_left))
-    (highest, certain), best = max(zip(merits, refits, strict=True), key=lambda pair: pair[0])
-    untold = [search.untold(one.term, one.u, PER_COORDINATE) for one in refits]
-    highest = max(highest, -MOST_CERTAIN)
-    doubts = [_unevenness(best.fit, one.fit, least_left) for one in refits]
-    weights = [
-        math.exp(0.5 * (one[0] + more - highest) / doubt)
-        for one, more, doubt in zip(merits, untold, doubts, strict=True)
-    ]
-    total = sum(weights) + math.exp(-0.5 * max(min(certain, MOST_CERTAIN), -MOST_CERTAIN))
+    (_, certain), best = max(zip(merits, refits, strict=True), key=lambda pair: pair[0])
     made = [
-        Choice(
-            one.term, one.u, one.gain, merit, weight / total, one.term.effect.missing, one.fit, one.full, doubt, more
-        )
-        for one, (merit, _), weight, doubt, more in zip(refits, merits, weights, doubts, untold, strict=True)
-    ]
-    return sorted(made, key=lambda one: -one.merit)
+        Choice(one.term, one.u, one.gain, merit, 0.0, one.term.effect.missing, one.fit, one.full,
+               _unevenness(best.fit, one.fit, least_left), search.refund(one.term, one.u, PER_COORDINATE))
+        for one, (merit, _) in zip(refits, merits, strict=True)
+    ]  # fmt: skip
+    return _weighed(made, certain)
 
 
 def _better(refits: Sequence[Candidate], elsewhere: Sequence[Candidate]) -> list[Candidate]:
@@ -531,8 +535,8 @@ def _reordered(members: Sequence[Choice]) -> list[Choice]:
     """
     if len(members) < 2 or members[0].term.effect.looks_in:
         return list(members)
-    total, most = sum(one.probability for one in members), max(one.standing for one in members)
-    weights = [math.exp(0.5 * (one.standing - most) / one.doubt) for one in members]
+    total = sum(one.probability for one in members)
+    weights, _ = _weights(members, [one.standing for one in members])
     shared = [
         replace(one, probability=total * weight / sum(weights)) for one, weight in zip(members, weights, strict=True)
     ]
@@ -551,8 +555,9 @@ def _refitted(before: Fit, choice: Choice) -> Choice:
     made = _less_astray(before, choice, made)
     gain = before.objective - made.objective
     merit = choice.merit + gain - choice.gain
-    return replace(choice, fit=made, gain=gain, merit=merit, term=made.state.terms[-1],
-                   u=made.u(len(made.state.terms) - 1))  # fmt: skip
+    term, u = made.state.terms[-1], made.u(len(made.state.terms) - 1)
+    refund = search.refund(term, u, PER_COORDINATE)
+    return replace(choice, fit=made, gain=gain, merit=merit, term=term, u=u, refund=refund)
 
 
 def _less_astray(before: Fit, choice: Choice, made: Fit) -> Fit:

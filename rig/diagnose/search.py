@@ -370,7 +370,10 @@ def from_data_sheet(found: Fit, terms: Sequence[Term], most: int) -> list[Candid
     before = tuple(one.moved(**dict.fromkeys(one.at, 0.0)) if one.prior else one for one in state.terms)
     firm = fitting.fit(found.parts, replace(start, terms=before, firm=True), use=found.use)
     begun = replace(firm.state, firm=False)
-    return [_afresh(found, one, begun, fitting.ITERATIONS) for one in scores(firm, terms)[:most]]
+    plain = fitting.fit(found.parts, begun, use=found.use)
+    against = min((found, plain), key=lambda one: one.objective)  # a better valley is no effect's merit
+    made = (_afresh(against, one, begun, fitting.ITERATIONS) for one in scores(firm, terms)[:most])
+    return [replace(one, full=True) for one in made]
 
 
 def completed(found: Fit, one: Candidate) -> Candidate:
@@ -501,12 +504,14 @@ def improbability(term: Term, u: Mapping[str, float]) -> float:
     return least
 
 
-def untold(term: Term, u: Mapping[str, float], most: float) -> float:
-    """What of `most` χ² for each shape a term need not pay, because the data tell little of it.
+def refund(term: Term, u: Mapping[str, float], most: float) -> float:
+    """What of the `most` χ² that it is charged for each shape a term has back, because the data tell little of it.
 
     The factor of Occam (MacKay 1992, Neural Computation 4, 415): −2 ln of posterior over prior width, ln(1 + (σ/u)²) of
     a size whose logarithm scatters by σ over the usual ones and is known to u.
     """
+    if term.effect.contains:  # beside what it contains it is a further number, told or not
+        return 0.0
     usual = {one.name: one.typical for one in term.effect.parameters}
     kept = 0.0
     for one in term.effect.coordinates:

@@ -16,7 +16,7 @@ class MainsHum(Effect):
     title = "mains hum"
     equation = "V += amplitude·cos(2π·f·t + phase) + third·cos(2π·3·f·t + phase_third), f = nominal + offset"
     quantities = BOTH
-    places = ("shaker",)  # a turntable's windows average it away
+    places = ("shaker",)  # a turntable's windows leave a fifth of it, folded above what is compared in motion
     coordinates = (
         Coordinate("cosine", 1e-4),
         Coordinate("sine", 1e-4),

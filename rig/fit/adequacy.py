@@ -30,7 +30,7 @@ FEWEST = 2  # rows of a group
 EXCEEDS = 3.0  # deviates from which a group counts as more than noise in a sum
 FEWEST_HELD = 8  # rows held out, from which anything can be said of them
 BY_CHANCE = 0.005  # half of that risk: that noise alone leaves too much in any of the parts' directions
-ROUNDING = 1e-12  # of the largest direction's χ²: what is no more changes nothing
+ROUNDING = 1e-12  # of the largest direction's square: what is no longer changes nothing
 TOLD = 0.02  # of a direction's χ²: what the fit leaves of it, from which it can be told from what the fit adjusts
 
 

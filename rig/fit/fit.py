@@ -254,7 +254,7 @@ def prior_of(parts: Sequence[Part], state: State) -> tuple[Array, Array]:
     tolerance = {n: float(t) for p in parts for n, t in zip(p.channels.names, p.channels.tolerance, strict=True)}
     for place, name in enumerate(order.channels):
         values[2 * place : 2 * place + 2] = state.gain[name], state.log_pole[name]
-        believed = 0.0 if state.free else FIRM if state.firm else 1.0
+        believed = FIRM if state.firm else 0.0 if state.free else 1.0
         weights[2 * place : 2 * place + 2] = believed * tolerance[name] ** -2.0, POLE_TOLERANCE**-2.0
     for first, one in zip(order.nuisances, state.nuisance, strict=True):
         values[first : first + len(one)], weights[first : first + len(one)] = one, 1.0

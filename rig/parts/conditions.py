@@ -14,7 +14,9 @@ import numpy as np
 from rig.motion import Array
 
 HIGHEST = 7  # degree
-SLOWEST, FASTEST, TRIED = 10.0, 0.05, 120  # of the time that readings span: how slowly they may settle
+FEWEST = 4  # readings that show how something settles
+SLOWEST, FASTEST, TRIED = 3.0, 0.05, 120  # of the time that readings span: how slowly they may settle
+SETTLES = 0.05  # of what readings vary by, squared: what does not settle exponentially leaves more
 # where nobody logged them: what the effects take as nominal, so that none of theirs does anything
 NOMINAL = {"temperature": 25.0, "supply": 5.0}
 
@@ -47,19 +49,24 @@ def smoothed(time: Array, values: Array) -> Array:
 
 
 def continued(time: Array, values: Array, at: Array) -> Array:
-    """What readings (n,) at times (s, (n,)) will be at later ones (k,) if they go on settling exponentially.
+    """What readings (n,) at times (s, (n,)) will be at later ones (k,): going on to settle, if they settle
+    exponentially, by no more than they have done; else what they were last.
 
     A bench that warms up is soon as warm as it gets: a later run does not show the same rise again.
     """
     known = np.isfinite(values)
-    span = float(np.ptp(time[known])) if known.sum() > 3 else 0.0
-    if not span > 0.0:
-        return np.full(len(at), float(values[known][-1]) if known.any() else math.nan)
-    since, found = float(time[known].min()), []
-    for slowness in span * np.geomspace(FASTEST, SLOWEST, TRIED):
-        columns = np.stack([np.ones(int(known.sum())), np.exp(-(time[known] - since) / slowness)], axis=1)
-        size = np.linalg.lstsq(columns, values[known], rcond=None)[0]
-        left = values[known] - columns @ size
-        found.append((float(left @ left), slowness, size))
-    _, slowness, size = min(found, key=lambda one: one[0])
-    return np.asarray(size[0] + size[1] * np.exp(-(at - since) / slowness), np.float64)
+    if not known.any():
+        return np.full(len(at), math.nan)
+    now, here = values[known], time[known] - float(time[known].min())
+    held = np.full(len(at), float(now[-1]))
+    if len(now) < FEWEST or not here[-1] > 0.0:
+        return held
+    slownesses = here[-1] * np.geomspace(FASTEST, SLOWEST, TRIED)
+    courses = [np.stack([np.ones(len(here)), np.exp(-here / one)], axis=1) for one in slownesses]
+    sizes = [np.linalg.lstsq(columns, now, rcond=None)[0] for columns in courses]
+    left = np.array([float(np.sum((now - a @ b) ** 2)) for a, b in zip(courses, sizes, strict=True)])
+    best = int(left.argmin())
+    if best in (0, TRIED - 1) or left[best] > SETTLES * float(np.sum((now - now.mean()) ** 2)):
+        return held
+    later = sizes[best][0] + sizes[best][1] * np.exp(-(at - float(time[known].min())) / slownesses[best])
+    return np.asarray(np.clip(later, held - float(np.ptp(now)), held + float(np.ptp(now))), np.float64)

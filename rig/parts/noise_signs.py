@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from rig.parts.noise_records import NoiseRecords, Shown
 from rig.parts.remainder import Sign
+from rig.signals.rest_lines import FEWEST
 
 FAR = 4.0  # standard uncertainties: frequencies as far apart are two
 DRIFT = 2e-5  # relative: by as much a line and the board's clock may move between two runs
@@ -16,7 +17,7 @@ CODES = 100.0  # evidence of a channel whose codes are left out, as χ²: no noi
 def signs(rests: Sequence[NoiseRecords]) -> Iterator[Sign]:
     """Lines of channels of one quantity, and coarse codes."""
     for same in _same([shown for data in rests for shown in data.lines]):
-        yield _line(max(same, key=lambda shown: (math.isfinite(shown.folded), shown.line.evidence)))
+        yield _line(max(same, key=lambda shown: (len(shown.line.amplitude) >= FEWEST, shown.line.evidence)))
     for data in rests:
         step, u, count = data.coarse
         if count:
@@ -40,7 +41,8 @@ def _same(lines: Sequence[Shown]) -> list[list[Shown]]:
 
 def _at_one(one: Shown, other: Shown) -> bool:
     apart = abs(one.line.frequency - other.line.frequency)
-    return apart < FAR * math.hypot(one.line.u, other.line.u) + DRIFT * one.line.frequency
+    highest = max(f for f in (one.line.frequency, one.folded, other.folded) if math.isfinite(f))
+    return apart < FAR * math.hypot(one.line.u, other.line.u) + DRIFT * highest
 
 
 def _line(shown: Shown) -> Sign:

@@ -22,27 +22,32 @@ def options(data: PlatterRecords, make: Callable[[PlatterRecords], Part]) -> Ite
     wider = 0.1 if radius < 0.08 else 0.05
     minutes = MINUTES_MOUNT + data.observed.shape[1] * data.interval / 60.0
     run = {"procedure": "turntable", "axis": axis, "all": True}
-    yield Option("repeat", "more of the same", minutes, run, lambda: make(data))
+    then = _after(data, 60.0 * MINUTES_MOUNT)
+    yield Option("repeat", "more of the same", minutes, run, lambda: make(then))
     yield Option(
         "second radius", "what follows the centripetal force parts from what follows the rate squared", minutes,
         {**run, "radius": f"{wider * 1000:g} mm"},
-        lambda: make(replace(data, radius=np.full_like(data.radius, wider))),
+        lambda: make(replace(then, radius=np.full_like(data.radius, wider))),
     )  # fmt: skip
     yield Option(
         "turned by 90°", "radial and tangential axes change places", minutes, {**run, "angle": "90°"},
-        lambda: make(replace(data, outward=_turned(data, 1), tangent=_turned(data, 2))),
+        lambda: make(replace(then, outward=_turned(data, 1), tangent=_turned(data, 2))),
     )  # fmt: skip
     for other in [one for one in ("yaw", "pitch", "roll") if one != axis]:
         yield Option(
             f"{other} up", "another gyro takes the rate, another axis gravity", minutes, {**run, "axis": other},
-            lambda other=other, axis=axis: make(_reaxed(data, axis, other)),  # type: ignore[misc]
+            lambda other=other, axis=axis: make(_reaxed(then, axis, other)),  # type: ignore[misc]
         )  # fmt: skip
     later = {"title": "The same run fifteen minutes later", "steps": [{"wait": "900 s"}, run]}
-    time = data.time + 900.0
-    temperature, supply = (continued(data.time, one, time) for one in (data.temperature, data.supply))
-    shifted = replace(data, time=time, temperature=temperature, supply=supply)
     yield Option("later", "temperature, supply and time since power-up part", minutes + 15.0, later,
-                 lambda: make(shifted))  # fmt: skip
+                 lambda: make(_after(data, 900.0)))  # fmt: skip
+
+
+def _after(data: PlatterRecords, pause: float) -> PlatterRecords:
+    """The same run so many seconds after this one has ended."""
+    time = data.time + float(np.ptp(data.time)) + pause
+    temperature, supply = (continued(data.time, one, time) for one in (data.temperature, data.supply))
+    return replace(data, time=time, temperature=temperature, supply=supply)
 
 
 def _turned(data: PlatterRecords, which: int) -> Array:

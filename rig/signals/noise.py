@@ -153,7 +153,7 @@ def by_sheet(density: float, tolerance: float, corner: tuple[float, float] | Non
     strong as it at a `corner` somewhere within these bounds, Hz: a rectangular distribution of its logarithm.
     """
     white, u = 2.0 * math.log(density), 2.0 * tolerance
-    if corner is None:
+    if corner is None or not corner[0] > 0.0:
         return {"white": (white, u)}
     low, high = (math.log(one) for one in corner)
     return {"white": (white, u), "flicker": (white + 0.5 * (low + high), math.hypot(u, (high - low) / math.sqrt(12.0)))}

@@ -18,7 +18,7 @@ TURNS = {"procedure": "turntable", "all": True, "revolutions": 4, "rest": "5 s"}
 
 
 @settings(deadline=None, max_examples=40)
-@given(st.floats(-10.0, 10.0), st.floats(0.5, 8.0), st.floats(0.2, 3.0), st.floats(0.0, 20.0))
+@given(st.floats(-10.0, 10.0), st.floats(0.5, 8.0), st.floats(0.2, 1.4), st.floats(0.0, 20.0))
 def test_what_settles_exponentially_goes_on_settling(last: float, rise: float, slowness: float, later: float) -> None:
     time = np.linspace(0.0, 400.0, 200)
 
@@ -27,6 +27,20 @@ def test_what_settles_exponentially_goes_on_settling(last: float, rise: float, s
 
     at = 400.0 * (1.0 + later) + np.linspace(0.0, 50.0, 5)
     assert continued(time, course(time), at) == pytest.approx(course(at), abs=0.03 * rise)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.where(np.arange(200) < 140, 5.0, 5.25),  # a supply that was set anew
+        24.0 + np.linspace(0.0, 0.5, 200),
+        24.0 + np.linspace(0.0, 0.7, 200) ** 2,
+        24.0 + np.random.default_rng(1).normal(0.0, 0.01, 200),
+    ],
+)
+def test_what_does_not_settle_is_taken_to_stay(values: np.ndarray) -> None:
+    time = np.linspace(0.0, 100.0, 200)
+    assert continued(time, values, np.array([1000.0, 1100.0])) == pytest.approx([values[-1]] * 2)
 
 
 def test_what_nobody_logged_stays_unknown_and_what_stands_still_does() -> None:

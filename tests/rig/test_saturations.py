@@ -54,3 +54,14 @@ def test_soft_saturation_nears_its_limit(u: float, out: float) -> None:
     assert effect.transduce(np.array([u]), None, at)[0] == pytest.approx(out)  # type: ignore[arg-type]
     assert effect.physical(at) == pytest.approx({"limit": 6.0, "sharpness": 4.0})
     assert effect.physical({**at, "loss": 0.0})["limit"] == math.inf
+
+
+def test_one_side_is_scored_where_nothing_even_does_any_good() -> None:
+    """On a turntable few stretches come near a limit: of what is even hardly anything is seen."""
+    entry = {"name": "one_sided_saturation", "parameters": {"quantity": "rate", "limit": 4.68, "side": 0.45}}
+    turns = {"procedure": "turntable", "all": True, "revolutions": 3, "rest": "10 s"}
+    found = evidence_of([fast_bench.measure(turns, fast_bench.world(21, [entry]))]).fitted()
+    known = {name: one for name, one in shelf().items() if one.stage == "transducer"}
+    gains = {one.start.key: one.gain for one in search.scores(found, search.possible(known, found))}
+    assert max(gains["quadratic (rate)"], gains["asymmetry (rate)"]) < search.HARDLY
+    assert gains["one_sided_saturation (rate)"] > 0.7 * gains["saturation (rate)"] > search.HARDLY

@@ -336,7 +336,7 @@ def _joined(records: Recorded, name: str, channels: Channels, found: Sequence[_R
     bounds = np.concatenate([[0], np.cumsum(lengths)]).tolist()
     slices = tuple(itertools.pairwise(bounds))
     means = np.concatenate([one.means for one in found], axis=1)
-    sensors, sheet = np.array([names.index(n) for n in channels.names]), _by_sheet(records, channels)
+    sensors, sheet = np.array([names.index(n) for n in channels.names]), _flicker_by_sheet(records, channels)
     counted, closed = (_together([getattr(one, which) for one in found]) for which in ("counted", "closed"))
     frames = np.concatenate(
         [np.repeat(_frame(one.mount)[:, :, None], n, axis=2) for one, n in zip(found, lengths, strict=True)], axis=2
@@ -402,13 +402,15 @@ def _logged(means: Array, names: Sequence[str], name: str, factor: float) -> Arr
     return means[names.index(name)] * factor if name in names else np.full(means.shape[1], math.nan)
 
 
-def _by_sheet(records: Recorded, channels: Channels) -> list[noise.Beforehand]:
-    """What the sensor file says of the noise of every channel, V."""
-    sensor, found = Sensor.of(records.header), []
+def _flicker_by_sheet(records: Recorded, channels: Channels) -> list[noise.Beforehand]:
+    """What the sensor file says of the flicker of every channel, V². White noise any rest shows, louder than stated or
+    not.
+    """
+    sensor, found = Sensor.of(records.header), list[noise.Beforehand]()
     for name, scale in zip(channels.names, np.abs(channels.sensitivity).tolist(), strict=True):
         said = sensor.channel(name).noise if name in sensor else None
-        stated = None if said is None else noise.by_sheet(said.density * scale, said.tolerance, said.corner)
-        found.append(stated or noise.NOTHING)
+        known = noise.NOTHING if said is None else noise.by_sheet(said.density * scale, said.tolerance, said.corner)
+        found.append({one: at for one, at in known.items() if one == "flicker"})
     return found
 
 

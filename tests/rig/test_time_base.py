@@ -8,12 +8,12 @@ from typing import Any, cast
 import fast_bench
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rig.archive.records import Recorded
 from rig.calibrate.calibrate import calibrate
-from rig.calibrate.time_base import clock_of
+from rig.calibrate.time_base import SCATTER, clock_of
 
 TURNS = {"procedure": "turntable", "revolutions": 4, "rest": "5 s"}
 
@@ -34,6 +34,7 @@ def paced(run: fast_bench.MemoryRecords, paces: list[tuple[float, float]]) -> Re
 
 
 @settings(deadline=None)
+@example(0.0, [1.0, 1.0], 1982255, 0.0)
 @given(
     st.floats(-0.019, 0.019), st.lists(st.floats(1.0, 300.0), min_size=1, max_size=40), st.integers(0, 2**32 - 1),
     st.floats(0.0, 0.06),
@@ -46,7 +47,8 @@ def test_the_error_is_found_within_its_uncertainty(
     found = clock_of(paced(turned, paces))
     assert found is not None
     assert abs(found.error - error) < 5.0 * found.u
-    assert found.u < 0.06 / max(lengths)
+    spread = float(np.std(jitter, ddof=1)) if len(lengths) > 1 else 0.0
+    assert found.u < 0.06 / max(lengths) * max(1.1 * spread / SCATTER, 1.0)  # records that disagree widen it
 
 
 def test_without_a_pace_nothing_is_said_of_the_clock(turned: fast_bench.MemoryRecords) -> None:

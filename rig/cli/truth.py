@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ if TYPE_CHECKING:
     from rig.bench.benchfile import BenchDescription
     from rig.model import Effect
     from rig.repair.model_file import Entry, Model
+
+PLAIN = (99.5, 1e6)
 
 
 def model_of(description: BenchDescription, runs: Path, given: Path | None) -> Model | None:
@@ -73,5 +76,9 @@ def _estimate(one: Mapping[str, Any]) -> str:
     """With its expanded uncertainty (k = 2)."""
     if one["u"] is None:
         return _number(one["value"], one["unit"])
-    expanded = _number(2.0 * one["u"], one["unit"], digits=2)
-    return f"{one['value']:.5g} ± {expanded}"
+    expanded = 2.0 * one["u"]
+    if not PLAIN[0] <= expanded < PLAIN[1]:  # two digits of these would have a power of ten
+        return f"{one['value']:.5g} ± {_number(expanded, one['unit'], digits=2)}"
+    step = 10.0 ** (math.floor(math.log10(expanded)) - 1)
+    number, shown = (step * round(value / step) for value in (one["value"], expanded))
+    return f"{number:.0f} ± {shown:.0f}{'' if one['unit'] in ('', '1') else ' ' + one['unit']}"

@@ -50,3 +50,8 @@ def test_what_the_model_has_no_word_for_stands_alone() -> None:
             "parameters": {"per_metre": 1.0, "angle": 0.005}}  # fmt: skip
     held = Model(unit="SIM", effects=(Entry(effect="gravity_tilt", parameters={"per_metre": Value(value=1.1)}),))
     assert lines(held, tilt)[1:] == ["  per_metre  true 1 rad/m  found 1.1", "  angle      true 0.005"]
+
+
+def test_hundreds_are_written_out() -> None:
+    one = {"value": 5111.53, "unit": "Hz", "u": 101.2}
+    assert truth._estimate(one) == "5110 ± 200 Hz"

@@ -57,7 +57,8 @@ def continued(time: Array, values: Array, at: Array) -> Array:
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(at), math.nan)
-    now, here = values[known], time[known] - float(time[known].min())
+    order = np.argsort(time[known], kind="stable")
+    now, here = values[known][order], time[known][order] - float(time[known].min())
     held = np.full(len(at), float(now[-1]))
     if len(now) < FEWEST or not here[-1] > 0.0:
         return held

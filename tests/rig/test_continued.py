@@ -27,6 +27,8 @@ def test_what_settles_exponentially_goes_on_settling(last: float, rise: float, s
 
     at = 400.0 * (1.0 + later) + np.linspace(0.0, 50.0, 5)
     assert continued(time, course(time), at) == pytest.approx(course(at), abs=0.03 * rise)
+    mixed = np.random.default_rng(1).permutation(time)  # readings need not stand in order
+    assert continued(mixed, course(mixed), at) == pytest.approx(course(at), abs=0.03 * rise)
 
 
 @pytest.mark.parametrize(
